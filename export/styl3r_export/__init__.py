@@ -1,0 +1,1 @@
+"""What makes the graphs: the network in torch, its training, checkpoints and ONNX export."""
