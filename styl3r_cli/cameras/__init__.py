@@ -1,1 +1,1 @@
-"""cameras"""
+"""Cameras: the type, their recovery from point maps, camera files, camera paths."""

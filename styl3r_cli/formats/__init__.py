@@ -1,1 +1,1 @@
-"""formats"""
+"""Scene files: one module a format behind one registry."""

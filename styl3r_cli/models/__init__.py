@@ -1,1 +1,1 @@
-"""models"""
+"""The graphs that ship with the package."""

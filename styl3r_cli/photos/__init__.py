@@ -1,1 +1,1 @@
-"""photos"""
+"""From files to the images and intrinsics that the graphs read."""

@@ -1,1 +1,1 @@
-"""splatting"""
+"""The CPU splat renderer."""
