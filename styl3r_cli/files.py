@@ -1,0 +1,128 @@
+"""Results written beside their place and renamed when whole; binary pipes that fail politely."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import stat
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from styl3r_cli.errors import InputError, OutputError, UsageError
+
+TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
+TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """A temporary name to write to, renamed to `path` when the block ends without an error.
+
+    The temporary file lies in the same folder and has the same suffix, so that libraries which
+    choose a format by suffix are right. On any failure, Ctrl-C included, it is removed and `path`
+    is left as it was. A symbolic link keeps pointing where it points, an existing file keeps its
+    permissions, and something that cannot be renamed over (/dev/null, a pipe) is written directly.
+
+    Args:
+        path: where the result belongs.
+
+    Yields:
+        The path to write to.
+
+    Raises:
+        OutputError: the folder is missing, or anything in the block raised OSError.
+    """
+    try:
+        target = path.resolve()
+        if _written_directly(target):
+            yield target
+            return
+        temporary = _create_beside(target)
+    except OSError as error:
+        raise OutputError(_cannot_write(path, error)) from error
+    try:
+        yield temporary
+        _publish(temporary, target)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise OutputError(_cannot_write(path, error)) from error
+        raise
+
+
+def write_stdout(data: bytes) -> None:
+    """Write a binary result to standard output, for `-o -`.
+
+    Raises:
+        UsageError: standard output is a terminal, which binary data would garble.
+        OutputError: the reading end has gone, or the device is full.
+    """
+    if sys.stdout.isatty():
+        raise UsageError(
+            "-o -: standard output is a terminal; pipe it into a program or redirect it to a file"
+        )
+    try:
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
+    except BrokenPipeError as error:
+        # The interpreter flushes stdout again at exit; give it somewhere harmless to do so.
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        message = "-o -: the program that reads standard output closed it early"
+        raise OutputError(message) from error
+    except OSError as error:
+        raise OutputError(_cannot_write("standard output", error)) from error
+
+
+def read_stdin() -> bytes:
+    """Everything that is piped in, for an input named `-`.
+
+    Raises:
+        UsageError: standard input is a terminal.
+        InputError: nothing came, which means that the program before the pipe failed.
+    """
+    if sys.stdin is None or sys.stdin.isatty():
+        raise UsageError("-: standard input is a terminal; pipe a file into it or name a file")
+    try:
+        data = sys.stdin.buffer.read()
+    except OSError as error:
+        raise InputError(f"-: cannot read standard input: {error.strerror or error}") from error
+    if not data:
+        raise InputError("-: standard input is empty; did the program before the pipe fail?")
+    return data
+
+
+def _written_directly(target: Path) -> bool:
+    """Whether the target exists and is neither a file nor a folder: a device or a pipe."""
+    try:
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISDIR(mode):
+        raise OutputError(f"cannot write {target}: it is a folder; name a file in it")
+    return not stat.S_ISREG(mode)
+
+
+def _create_beside(target: Path) -> Path:
+    if not target.parent.is_dir():
+        raise OutputError(f"cannot write {target}: the folder {target.parent} does not exist")
+    if target.exists() and not os.access(target, os.W_OK):
+        raise OutputError(f"cannot write {target}: the file is write-protected")
+    temporary = target.with_name(f"{TEMP_PREFIX}{secrets.token_hex(6)}{target.suffix}")
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, TEMP_MODE))
+    if target.exists():
+        temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+    return temporary
+
+
+def _publish(temporary: Path, target: Path) -> None:
+    with temporary.open("rb+") as file:
+        os.fsync(file.fileno())  # renaming first could leave an empty file after a power cut
+    temporary.replace(target)
+
+
+def _cannot_write(what: Path | str, error: OSError) -> str:
+    return f"cannot write {what}: {error.strerror or error}"
