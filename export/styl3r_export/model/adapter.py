@@ -1,0 +1,157 @@
+"""From the heads' raw channels to Gaussians (spec section 5), and mini's ray-wise form of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+# First spherical harmonic: rgb = SH_C0 * coefficient + 0.5.
+SH_C0 = 0.28209479177387814
+# Published scales: softplus times this, in world units, at most SCALE_MAX.
+SCALE_UNIT = 0.001
+SCALE_MAX = 0.3
+# Keeps the direction of a zero point, and the norm of a zero quaternion, finite (published).
+EPS = 1e-8
+# Bounds of mini's log depth: 0.02 to 150 times the scene's unit, wider than any scene it can
+# tell apart, and far from what the exponential would overflow at.
+LOG_DEPTH_MIN, LOG_DEPTH_MAX = -4.0, 5.0
+# Smallest standard deviation of mini's Gaussians, in pixels of the view that made them: below
+# it a pixel's Gaussian falls between the pixels of a frame.
+FOOTPRINT_MIN = 0.25
+
+
+class Geometry(NamedTuple):
+    """Activated geometry of a batch of views, one Gaussian a pixel, world frame."""
+
+    means: Float[Tensor, "batch views H W 3"]
+    scales: Float[Tensor, "batch views H W 3"]
+    rotations: Float[Tensor, "batch views H W 4"]
+    opacities: Float[Tensor, "batch views H W"]
+
+
+class Pose(NamedTuple):
+    """Camera-to-world rotation (unit quaternion w x y z) and camera centre of each view."""
+
+    rotation: Float[Tensor, "batch views 4"]
+    centre: Float[Tensor, "batch views 3"]
+
+
+def exp_points(raw: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """The published points: direction of the raw vector, distance expm1 of its length."""
+    length = raw.norm(dim=-1, keepdim=True)
+    return raw / length.clamp_min(EPS) * torch.expm1(length)
+
+
+def free_geometry(
+    points: Float[Tensor, "batch views 3 H W"], structure: Float[Tensor, "batch views 8 H W"]
+) -> Geometry:
+    """The published activations: points in the first view's frame, quaternions turned to wxyz."""
+    raw = structure.movedim(2, -1)
+    opacity, scale, xyzw = raw.split((1, 3, 4), dim=-1)
+    xyzw = xyzw / (xyzw.norm(dim=-1, keepdim=True) + EPS)
+    return Geometry(
+        means=exp_points(points.movedim(2, -1)),
+        scales=(SCALE_UNIT * F.softplus(scale)).clamp_max(SCALE_MAX),
+        rotations=torch.cat((xyzw[..., 3:], xyzw[..., :3]), dim=-1),
+        opacities=opacity.squeeze(-1).sigmoid(),
+    )
+
+
+def pixel_rays(
+    intrinsics: Float[Tensor, "*batch 3 3"], height: int, width: int
+) -> Float[Tensor, "*batch H W 3"]:
+    """Ray (x/z, y/z, 1) through each pixel's centre, from normalised intrinsics."""
+    device = intrinsics.device
+    v = ((torch.arange(height, device=device) + 0.5) / height)[:, None]
+    u = ((torch.arange(width, device=device) + 0.5) / width)[None, :]
+    k = intrinsics[..., None, None, :, :]
+    x = (u - k[..., 0, 2]) / k[..., 0, 0] + torch.zeros_like(v)
+    y = (v - k[..., 1, 2]) / k[..., 1, 1] + torch.zeros_like(u)
+    return torch.stack((x, y, torch.ones_like(x)), dim=-1)
+
+
+def rotate_vectors(q: Float[Tensor, "*batch 4"], v: Float[Tensor, "*batch 3"]) -> Tensor:
+    """Rotate vectors by unit quaternions w x y z (broadcasting)."""
+    w, axis = q[..., :1], q[..., 1:]
+    axis, v = torch.broadcast_tensors(axis, v)
+    t = 2 * torch.linalg.cross(axis, v)
+    return v + w * t + torch.linalg.cross(axis, t)
+
+
+def multiply_quaternions(a: Float[Tensor, "*batch 4"], b: Float[Tensor, "*batch 4"]) -> Tensor:
+    """Hamilton product, w x y z: first b, then a."""
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        dim=-1,
+    )
+
+
+class CameraHead(nn.Module):
+    """The decoder's intrinsics token, read as the view's camera; the first view is the world."""
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.hidden = nn.Linear(dim, dim)
+        self.out = nn.Linear(dim, 6)  # vector part of a quaternion (w = 1), camera centre
+
+    def forward(self, token: Float[Tensor, "batch views dim"]) -> Pose:
+        """Poses of all views."""
+        raw = self.out(F.gelu(self.hidden(token))).float()
+        raw = torch.cat((torch.zeros_like(raw[:, :1]), raw[:, 1:]), dim=1)
+        quaternion = torch.cat((torch.ones_like(raw[..., :1]), raw[..., :3]), dim=-1)
+        return Pose(F.normalize(quaternion, dim=-1), raw[..., 3:])
+
+
+def ray_geometry(
+    depth: Float[Tensor, "batch views H W"],
+    structure: Float[Tensor, "batch views 8 H W"],
+    intrinsics: Float[Tensor, "batch views 3 3"],
+    pose: Pose,
+) -> Geometry:
+    """Points along each pixel's ray, placed by the view's camera; scales in pixel footprints."""
+    height, width = depth.shape[-2:]
+    raw = structure.movedim(2, -1)
+    opacity, scale, xyzw = raw.split((1, 3, 4), dim=-1)
+    # The identity is added, so that an untrained head gives round, upright Gaussians.
+    local = torch.cat((xyzw[..., 3:] + 1, xyzw[..., :3]), dim=-1)
+    turn = pose.rotation[:, :, None, None]
+    points = pixel_rays(intrinsics, height, width) * depth[..., None]
+    footprint = depth / (intrinsics[..., 0, 0, None, None] * width)
+    return Geometry(
+        means=rotate_vectors(turn, points) + pose.centre[:, :, None, None],
+        scales=footprint[..., None] * (FOOTPRINT_MIN + F.softplus(scale)),
+        rotations=multiply_quaternions(turn, F.normalize(local, dim=-1)),
+        opacities=opacity.squeeze(-1).sigmoid(),
+    )
+
+
+def log_depth(raw: Float[Tensor, "batch views H W"]) -> Float[Tensor, "batch views H W"]:
+    """Softly bounded log depth: the identity near 0, never outside the named bounds."""
+    middle = (LOG_DEPTH_MAX + LOG_DEPTH_MIN) / 2
+    reach = (LOG_DEPTH_MAX - LOG_DEPTH_MIN) / 2
+    return middle + reach * torch.tanh((raw - middle) / reach)
+
+
+def colours_from_sh(raw: Float[Tensor, "batch views 3 H W"]) -> Float[Tensor, "batch views H W 3"]:
+    """The published colours: degree-0 SH coefficients to sRGB (a renderer clamps them at 0)."""
+    return SH_C0 * raw.movedim(2, -1) + 0.5
+
+
+def colours_from_affine(
+    raw: Float[Tensor, "batch views 12 H W"], images: Float[Tensor, "batch views 3 H W"]
+) -> Float[Tensor, "batch views H W 3"]:
+    """Each pixel's own 3x4 matrix (plus the identity), applied to its colour in the photo."""
+    matrix = raw[:, :, :9].unflatten(2, (3, 3))
+    mixed = (matrix * images[:, :, None]).sum(dim=3)
+    return (images + mixed + raw[:, :, 9:]).movedim(2, -1)

@@ -1,0 +1,94 @@
+"""The one place where `full` and `mini` differ: a configuration and its two instances."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal
+
+# One view in, one patch row or column a 16 px square: every size is a multiple of this.
+PATCH = 16
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Sizes and switches of the network; the defaults are the published ones."""
+
+    name: str = "full"
+
+    # Channels of one attention head, the same everywhere; RoPE splits it between y and x.
+    head_dim: int = 64
+    # MLP width over token width.
+    mlp_ratio: int = 4
+
+    # Content encoder: token width and number of blocks (ViT-Large in the published network).
+    encoder_dim: int = 1024
+    encoder_depth: int = 24
+    # Style encoder: the same shape, its own weights.
+    style_depth: int = 24
+    # Structure and stylization decoders.
+    decoder_dim: int = 768
+    decoder_depth: int = 12
+    stylizer_depth: int = 12
+    # The decoder layers that the dense heads read, besides the encoder's tokens.
+    hooks: tuple[int, int, int] = (6, 9, 12)
+
+    # Dense heads: channels of the four reassembled maps, of the fusion path, and of the last
+    # convolutions of the point head.
+    head_maps: tuple[int, int, int, int] = (96, 192, 384, 768)
+    head_features: int = 256
+    point_features: int = 128
+
+    # "patchify": one 16x16 convolution. "pyramid": a convolutional stem to 1/8, whose maps at
+    # 1/2, 1/4 and 1/8 also reach the structure heads (fine edges that 16 px tokens lose).
+    stem: Literal["patchify", "pyramid"] = "patchify"
+    # A softmax correlation of the stem's maps between the first view and every other one, given
+    # to the structure decoder's tokens, so that attention need not invent matching.
+    matching: bool = False
+    # "free": the point head gives points in the first view's frame (published).
+    # "rays": it gives depth along each pixel's ray, and the intrinsics token gives the camera.
+    points: Literal["free", "rays"] = "free"
+    # Colours: "sh": the head's output is the SH DC coefficient (published). "affine": it is a
+    # 3x4 matrix a pixel, applied to the photo's colour, so that fine detail need not be redrawn.
+    colours: Literal["sh", "affine"] = "sh"
+
+    @property
+    def camera_head(self) -> bool:
+        """Whether the intrinsics token is read as the view's camera."""
+        return self.points == "rays"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as the graphs' metadata stores them."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> ModelConfig:
+        """The inverse of `to_dict` (lists from JSON become tuples again)."""
+        known = {f.name for f in fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise ValueError(f"unknown configuration fields: {', '.join(unknown)}")
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+
+FULL = ModelConfig()
+
+MINI = ModelConfig(
+    name="mini",
+    head_dim=32,
+    encoder_dim=192,
+    encoder_depth=4,
+    style_depth=3,
+    decoder_dim=192,
+    decoder_depth=6,
+    stylizer_depth=4,
+    hooks=(2, 4, 6),
+    head_maps=(32, 48, 96, 96),
+    head_features=48,
+    point_features=32,
+    stem="pyramid",
+    matching=True,
+    points="rays",
+    colours="affine",
+)
+
+CONFIGS = {config.name: config for config in (FULL, MINI)}

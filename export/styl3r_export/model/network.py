@@ -1,0 +1,243 @@
+"""Styl3R: the dual-branch network, structure and appearance (paper section 3; spec section 1)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from styl3r_export.model.adapter import (
+    CameraHead,
+    Geometry,
+    Pose,
+    colours_from_affine,
+    colours_from_sh,
+    free_geometry,
+    log_depth,
+    ray_geometry,
+)
+from styl3r_export.model.backbone import Backbone
+from styl3r_export.model.config import CONFIGS, PATCH, ModelConfig
+from styl3r_export.model.dpt import STRUCTURE_CHANNELS, GaussianTrunk, Head, PointTrunk
+from styl3r_export.model.matching import Matches, StarMatching
+from styl3r_export.model.stem import Pyramid, PyramidStem
+from styl3r_export.model.stylizer import TokenStylizer
+
+
+class StructureOutput(NamedTuple):
+    """What the structure branch gives for the N views of one scene (one Gaussian a pixel)."""
+
+    means: Float[Tensor, "views H W 3"]
+    scales: Float[Tensor, "views H W 3"]
+    rotations: Float[Tensor, "views H W 4"]
+    opacities: Float[Tensor, "views H W"]
+    content_tokens: Float[Tensor, "views tokens dim"]
+
+
+class Content(NamedTuple):
+    """The content encoder's output for a batch of scenes."""
+
+    tokens: Float[Tensor, "batch views tokens dim"]
+    pyramid: Pyramid | None  # the stem's maps, (batch * views) first
+
+
+class Structure(NamedTuple):
+    """Everything the structure branch computes: training looks at more than the Gaussians."""
+
+    geometry: Geometry
+    pose: Pose | None
+    depth: Float[Tensor, "batch views H W"] | None
+    confidence: Float[Tensor, "batch views H W"] | None  # log-confidence of the depth
+    matches: Matches | None
+
+
+def to_network(images: Tensor) -> Tensor:
+    """Pictures in [0, 1] to the content encoder's [-1, 1]."""
+    return images * 2 - 1
+
+
+class Styl3r(nn.Module):
+    """Photos without poses and style pictures to stylized 3D Gaussians."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        rays = config.points == "rays"
+        self.backbone = Backbone(config)
+        self.downstream_head1 = Head(PointTrunk(config, 2 if rays else 3))
+        self.gaussian_param_head = Head(GaussianTrunk(config, STRUCTURE_CHANNELS, image="add"))
+        if rays:  # depth along a view's own rays is the same task for every view
+            self.matching = StarMatching(config, PyramidStem.CHANNELS[2])
+            self.camera_head = CameraHead(config.decoder_dim)
+        else:
+            self.downstream_head2 = Head(PointTrunk(config, 3))
+            self.gaussian_param_head2 = Head(GaussianTrunk(config, STRUCTURE_CHANNELS, image="add"))
+        self.token_stylizer = TokenStylizer(config)
+        affine = config.colours == "affine"
+        self.gaussian_appearance_head = Head(
+            GaussianTrunk(config, 12 if affine else 3, image="gate" if affine else "none")
+        )
+
+    # ------------------------------------------------------------------ one scene (public)
+
+    def structure(
+        self, images: Float[Tensor, "views 3 H W"], intrinsics: Float[Tensor, "views 3 3"]
+    ) -> StructureOutput:
+        """Geometry of one scene, and the content tokens that `appearance` needs.
+
+        Args:
+            images: 2 to 8 views, sRGB in [0, 1]; H and W multiples of 16.
+            intrinsics: normalised by width and height.
+
+        Returns:
+            Gaussians in the first view's frame (OpenCV axes), and content tokens.
+        """
+        content = self.encode(images[None], intrinsics[None])
+        out = self.decode_structure(content, images[None], intrinsics[None])
+        means, scales, rotations, opacities = (t.squeeze(0) for t in out.geometry)
+        return StructureOutput(means, scales, rotations, opacities, content.tokens.squeeze(0))
+
+    def appearance(
+        self,
+        content_tokens: Float[Tensor, "views tokens dim"],
+        style_images: Float[Tensor, "styles 3 h w"],
+        style_weights: Float[Tensor, " styles"],
+        images: Float[Tensor, "views 3 H W"],
+    ) -> Float[Tensor, "views H W 3"]:
+        """Colours (sRGB) of one scene's Gaussians.
+
+        Args:
+            content_tokens: from `structure`.
+            style_images: paintings in [0, 1]; a content photo standing in for a style in
+                [-1, 1] (spec section 7).
+            style_weights: weights of the styles' tokens, summing to 1.
+            images: the views again, sRGB in [0, 1] (the published colour head does not read
+                their values, only their size).
+        """
+        colours = self.decode_appearance(
+            content_tokens[None], style_images[None], style_weights[None], images[None]
+        )
+        return colours.squeeze(0)
+
+    # ------------------------------------------------------------------ batches of scenes
+
+    def encode(
+        self,
+        images: Float[Tensor, "batch views 3 H W"],
+        intrinsics: Float[Tensor, "batch views 3 3"],
+    ) -> Content:
+        """Content tokens of every view; images in [0, 1]."""
+        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        maps = to_network(images).flatten(0, 1)
+        pyramid = None
+        if self.config.stem == "pyramid":
+            pyramid = self.backbone.stem(maps)
+            maps = pyramid.eighth
+        tokens = self.backbone.encode(maps, intrinsics.flatten(0, 1), rows, columns)
+        return Content(tokens.unflatten(0, images.shape[:2]), pyramid)
+
+    def decode_structure(
+        self,
+        content: Content,
+        images: Float[Tensor, "batch views 3 H W"],
+        intrinsics: Float[Tensor, "batch views 3 3"],
+    ) -> Structure:
+        """Geometry of a batch of scenes."""
+        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        tokens, matches = None, None
+        if self.config.matching:
+            assert content.pyramid is not None
+            maps = content.pyramid.eighth.unflatten(0, images.shape[:2])
+            tokens, matches = self.matching(maps, intrinsics)
+        hooks, camera = self.backbone.decode(content.tokens, rows, columns, tokens)
+        if self.config.points == "rays":
+            return self._ray_structure(hooks, camera, content, images, intrinsics, matches)
+        pictures = to_network(images)
+        points = self._per_view(self.downstream_head1, self.downstream_head2, hooks, rows, columns)
+        params = self._per_view(
+            self.gaussian_param_head, self.gaussian_param_head2, hooks, rows, columns, pictures
+        )
+        return Structure(free_geometry(points, params), None, None, None, matches)
+
+    def _ray_structure(
+        self,
+        hooks: tuple[Tensor, ...],
+        camera: Tensor,
+        content: Content,
+        images: Tensor,
+        intrinsics: Tensor,
+        matches: Matches | None,
+    ) -> Structure:
+        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        flat = tuple(h.flatten(0, 1) for h in hooks)
+        raw = self.downstream_head1(flat, rows, columns, content.pyramid)
+        raw = raw.unflatten(0, images.shape[:2])
+        pictures = to_network(images).flatten(0, 1)
+        params = self.gaussian_param_head(flat, rows, columns, pictures, content.pyramid)
+        params = params.unflatten(0, images.shape[:2])
+        depth = log_depth(raw[:, :, 0]).exp()
+        pose = self.camera_head(camera)
+        geometry = ray_geometry(depth, params, intrinsics, pose)
+        return Structure(geometry, pose, depth, raw[:, :, 1], matches)
+
+    @staticmethod
+    def _per_view(
+        first: Head,
+        rest: Head,
+        hooks: tuple[Tensor, ...],
+        rows: int,
+        columns: int,
+        images: Tensor | None = None,
+    ) -> Float[Tensor, "batch views channels H W"]:
+        """The first view through its own head, the others through theirs."""
+        batch, views = hooks[0].shape[:2]
+        extra = () if images is None else (images[:, 0],)
+        out0 = first(tuple(h[:, 0] for h in hooks), rows, columns, *extra)
+        extra = () if images is None else (images[:, 1:].flatten(0, 1),)
+        out = rest(tuple(h[:, 1:].flatten(0, 1) for h in hooks), rows, columns, *extra)
+        out = out.unflatten(0, (batch, views - 1))
+        return _cat_views(out0, out)
+
+    def decode_appearance(
+        self,
+        content_tokens: Float[Tensor, "batch views tokens dim"],
+        style_images: Float[Tensor, "batch styles 3 h w"],
+        style_weights: Float[Tensor, "batch styles"],
+        images: Float[Tensor, "batch views 3 H W"],
+    ) -> Float[Tensor, "batch views H W 3"]:
+        """Colours of a batch of scenes."""
+        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        style, rope = self.token_stylizer.encode(style_images.flatten(0, 1))
+        style = style.unflatten(0, style_images.shape[:2])
+        style = (style * style_weights[:, :, None, None]).sum(dim=1)
+        hooks = self.token_stylizer.decode(content_tokens, style, rope, rows, columns)
+        flat = tuple(h.flatten(0, 1) for h in hooks)
+        pictures = to_network(images).flatten(0, 1)
+        raw = self.gaussian_appearance_head(flat, rows, columns, pictures)
+        raw = raw.unflatten(0, images.shape[:2])
+        if self.config.colours == "affine":
+            return colours_from_affine(raw, images)
+        return colours_from_sh(raw)
+
+
+def _cat_views(first: Tensor, rest: Tensor) -> Tensor:
+    """(batch, ...) and (batch, views - 1, ...) to (batch, views, ...)."""
+    return torch.cat((first[:, None], rest), dim=1)
+
+
+def build(config: str | ModelConfig = "full") -> Styl3r:
+    """The network in eval mode, with torch's random initial weights.
+
+    Args:
+        config: "full" (the published sizes), "mini", or a configuration.
+
+    Raises:
+        ValueError: the name is not a known configuration.
+    """
+    if isinstance(config, str):
+        if config not in CONFIGS:
+            raise ValueError(f"no configuration {config!r}; there are {', '.join(CONFIGS)}")
+        config = CONFIGS[config]
+    return Styl3r(config).eval()
