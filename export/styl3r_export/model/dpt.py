@@ -44,7 +44,7 @@ class FusionBlock(nn.Module):
         self.resConfUnit2 = ResidualConvUnit(features)
 
     def forward(self, path: Tensor, skip: Tensor | None = None) -> Tensor:
-        """The 1x1 convolution goes before the upsampling: the two commute, at a quarter the cost."""
+        """Convolve before upsampling: a 1x1 convolution commutes with it, at a quarter the cost."""
         y = path if skip is None else path + self.resConfUnit1(skip)
         return upsample(self.out_conv(self.resConfUnit2(y)))
 

@@ -43,14 +43,21 @@ class Content(NamedTuple):
     pyramid: Pyramid | None  # the stem's maps, (batch * views) first
 
 
+class RayDecoding(NamedTuple):
+    """What a network with points on rays knows before it makes Gaussians; training reads it."""
+
+    depth: Float[Tensor, "batch views H W"]  # along the view's z axis
+    confidence: Float[Tensor, "batch views H W"]  # log of the depth's expected relative error
+    pose: Pose
+    matches: Matches | None
+    hooks: tuple[Tensor, ...]  # (batch * views, patches, dim) each
+
+
 class Structure(NamedTuple):
-    """Everything the structure branch computes: training looks at more than the Gaussians."""
+    """The structure branch's Gaussians, and how they came about where points lie on rays."""
 
     geometry: Geometry
-    pose: Pose | None
-    depth: Float[Tensor, "batch views H W"] | None
-    confidence: Float[Tensor, "batch views H W"] | None  # log-confidence of the depth
-    matches: Matches | None
+    rays: RayDecoding | None
 
 
 def to_network(images: Tensor) -> Tensor:
@@ -145,42 +152,43 @@ class Styl3r(nn.Module):
         intrinsics: Float[Tensor, "batch views 3 3"],
     ) -> Structure:
         """Geometry of a batch of scenes."""
-        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
-        tokens, matches = None, None
-        if self.config.matching:
-            assert content.pyramid is not None
-            maps = content.pyramid.eighth.unflatten(0, images.shape[:2])
-            tokens, matches = self.matching(maps, intrinsics)
-        hooks, camera = self.backbone.decode(content.tokens, rows, columns, tokens)
         if self.config.points == "rays":
-            return self._ray_structure(hooks, camera, content, images, intrinsics, matches)
+            return self._ray_structure(content, images, intrinsics)
+        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        hooks, _ = self.backbone.decode(content.tokens, rows, columns)
         pictures = to_network(images)
         points = self._per_view(self.downstream_head1, self.downstream_head2, hooks, rows, columns)
         params = self._per_view(
             self.gaussian_param_head, self.gaussian_param_head2, hooks, rows, columns, pictures
         )
-        return Structure(free_geometry(points, params), None, None, None, matches)
+        return Structure(free_geometry(points, params), None)
 
-    def _ray_structure(
+    def decode_rays(
         self,
-        hooks: tuple[Tensor, ...],
-        camera: Tensor,
         content: Content,
-        images: Tensor,
-        intrinsics: Tensor,
-        matches: Matches | None,
-    ) -> Structure:
+        images: Float[Tensor, "batch views 3 H W"],
+        intrinsics: Float[Tensor, "batch views 3 3"],
+    ) -> RayDecoding:
+        """Depth, confidence and cameras of a network whose points lie on rays."""
         rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        assert content.pyramid is not None
+        maps = content.pyramid.eighth.unflatten(0, images.shape[:2])
+        tokens, matches = self.matching(maps, intrinsics) if self.config.matching else (None, None)
+        hooks, camera = self.backbone.decode(content.tokens, rows, columns, tokens)
         flat = tuple(h.flatten(0, 1) for h in hooks)
         raw = self.downstream_head1(flat, rows, columns, content.pyramid)
         raw = raw.unflatten(0, images.shape[:2])
-        pictures = to_network(images).flatten(0, 1)
-        params = self.gaussian_param_head(flat, rows, columns, pictures, content.pyramid)
-        params = params.unflatten(0, images.shape[:2])
         depth = log_depth(raw[:, :, 0]).exp()
-        pose = self.camera_head(camera)
-        geometry = ray_geometry(depth, params, intrinsics, pose)
-        return Structure(geometry, pose, depth, raw[:, :, 1], matches)
+        return RayDecoding(depth, raw[:, :, 1], self.camera_head(camera), matches, flat)
+
+    def _ray_structure(self, content: Content, images: Tensor, intrinsics: Tensor) -> Structure:
+        rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
+        rays = self.decode_rays(content, images, intrinsics)
+        pictures = to_network(images).flatten(0, 1)
+        params = self.gaussian_param_head(rays.hooks, rows, columns, pictures, content.pyramid)
+        params = params.unflatten(0, images.shape[:2])
+        geometry = ray_geometry(rays.depth, params, intrinsics, rays.pose)
+        return Structure(geometry, rays)
 
     @staticmethod
     def _per_view(
