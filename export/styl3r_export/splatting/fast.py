@@ -1,0 +1,126 @@
+"""A differentiable splat renderer for training on a CPU: the renderer's kernels under autograd."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from styl3r_cli.splatting.compiler import parallel_for
+from styl3r_cli.splatting.projection import VISIBLE, near_plane, project
+from styl3r_cli.splatting.renderer import accumulate
+from styl3r_cli.splatting.tiles import depth_order, min_bands, tile_count
+from styl3r_export.splatting.gradients import SUMS, unblend
+from styl3r_export.splatting.unprojection import unproject
+
+
+def splat(
+    means: Float[Tensor, "gaussians 3"],
+    scales: Float[Tensor, "gaussians 3"],
+    rotations: Float[Tensor, "gaussians 4"],
+    opacities: Float[Tensor, " gaussians"],
+    colours: Float[Tensor, "gaussians 3"],
+    extrinsics: Float[Tensor, "4 4"],
+    intrinsics: Float[Tensor, "3 3"],
+    size: tuple[int, int],
+    background: tuple[float, float, float] | Float[Tensor, " 3"] | None = (0.0, 0.0, 0.0),
+    *,
+    near: float | None = None,
+    threads: int | None = None,
+) -> tuple[
+    Float[Tensor, "3 height width"], Float[Tensor, "height width"], Float[Tensor, "height width"]
+]:
+    """Draw Gaussians as a camera sees them, with gradients to everything but the camera.
+
+    The picture is that of ``styl3r_cli.splatting.render``, and of ``reference.splat``, whose
+    gradients it has too. Works in float32 on the CPU, whatever it is given. Gaussians that the
+    camera does not see, and ones that are not finite, get zero gradients.
+
+    Args:
+        means: centres in the world.
+        scales: standard deviations.
+        rotations: quaternions w x y z, of any length but 0.
+        opacities: in [0, 1].
+        colours: sRGB; negative ones count as 0, without gradient.
+        extrinsics: world-to-camera.
+        intrinsics: in pixels.
+        size: height and width.
+        background: sRGB behind the scene (gradients reach a tensor); None for black.
+        near: view z up to which nothing is drawn; by default from the scene's size.
+        threads: how many to use; None for every core.
+
+    Returns:
+        colour over the background, alpha, and mean view z of what is seen (0 where alpha is 0).
+    """
+    k = intrinsics.detach().cpu().double()
+    lens = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]], np.float64)
+    view = np.ascontiguousarray(extrinsics.detach().cpu().double().numpy())
+    inputs = [
+        value.float().cpu() for value in (means, scales, rotations, opacities, colours.clamp(min=0))
+    ]
+    if near is None:
+        near = near_plane(inputs[0].detach().numpy())
+    weighted, alpha = _Splat.apply(*inputs, view, lens, size, near, threads)
+    behind = torch.zeros(3) if background is None else torch.as_tensor(background).float()
+    colour = weighted[:3] + (1 - alpha) * behind[:, None, None]
+    seen = alpha > 0
+    depth = torch.where(seen, weighted[3] / torch.where(seen, alpha, 1.0), 0.0)
+    return colour, alpha, depth
+
+
+class _Splat(torch.autograd.Function):
+    """Weighted red, green, blue and depth (4, H, W), and alpha (H, W)."""
+
+    @staticmethod
+    def forward(ctx: Any, *arguments: Any) -> tuple[Tensor, Tensor]:
+        *tensors, view, lens, size, near, threads = arguments
+        arrays = [np.ascontiguousarray(tensor.detach().numpy()) for tensor in tensors]
+        splats = project(*arrays, view, lens, size, near, threads)
+        planes = accumulate(splats, arrays[4], size, threads)
+        ctx.save_for_backward(*tensors)
+        ctx.camera = (view, lens, size, threads)
+        ctx.splats, ctx.planes = splats, planes
+        return torch.from_numpy(planes[:4].copy()), torch.from_numpy(1 - planes[4])
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        arrays = [np.ascontiguousarray(tensor.numpy()) for tensor in ctx.saved_tensors]
+        incoming = np.concatenate([gradients[0].numpy(), gradients[1].numpy()[None]])
+        results = _backward(arrays, *ctx.camera, ctx.splats, ctx.planes, incoming)
+        return (*map(torch.from_numpy, results), None, None, None, None, None)
+
+
+def _backward(
+    arrays: list[Any],
+    view: Any,
+    lens: Any,
+    size: tuple[int, int],
+    threads: int | None,
+    splats: Any,
+    planes: Any,
+    incoming: Any,
+) -> list[Any]:
+    """Gradients of the five arrays of Gaussians, from those of weighted planes and alpha."""
+    values = np.concatenate([planes[:4], 1 - planes[4:]])
+    total = np.einsum("chw,chw->hw", incoming, values)
+    spans = splats.rects[:, 2:].astype(np.int64) - splats.rects[:, :2] + 1
+    areas = np.where(splats.status == VISIBLE, spans[:, 0] * spans[:, 1], 0)
+    slots = np.concatenate([[0], np.cumsum(areas)])
+    pairs = np.zeros((slots[-1], SUMS), np.float32)
+    order = depth_order(splats)
+    rects = splats.rects[order]
+    parallel_for(
+        unblend, tile_count(size[0]), threads,
+        order, rects, splats.rects, splats.records, arrays[4], incoming, total, slots, pairs,
+        min_parts=min_bands(rects),
+    )  # fmt: skip
+    results = [np.zeros_like(array) for array in arrays]
+    parallel_for(
+        unproject, len(arrays[0]), threads,
+        *arrays[:4], view, lens, size[0], size[1], splats.status, splats.records, slots, pairs,
+        *results,
+    )  # fmt: skip
+    return results

@@ -1,0 +1,153 @@
+"""From gradients of splats on the frame to gradients of Gaussians in the world."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from styl3r_cli.splatting.compiler import kernel
+from styl3r_cli.splatting.projection import (
+    VISIBLE,
+    A,
+    B,
+    C,
+    Z,
+    axis_limits,
+    covariance,
+    footprint,
+    to_matrix,
+)
+from styl3r_export.splatting.gradients import (
+    BLUE,
+    DEPTH,
+    G_DY,
+    G_DY_DY,
+    G_P,
+    G_P_DX,
+    G_P_DY,
+    GREEN,
+    RED,
+    SUMS,
+    G,
+)
+
+
+@kernel
+def _shape_gradient(sums, a, b, c, rows, g_rows):  # type: ignore[no-untyped-def]
+    """Fill ``g_rows`` (2, 3), the gradient of the footprint, through A, B, C and the covariance."""
+    xx, yy, xy, det = covariance(rows)
+    g_a, g_b, g_c = -2 * sums[G_P_DX], -2 * sums[G_P_DY], -2 * c * sums[G_DY_DY]
+    # a^2 ~ yy / det, b = -a xy / yy, c^2 ~ 1 / yy, det = xx yy - xy^2.
+    g_a -= g_b * xy / yy
+    g_xx = g_a * (-0.5 * a * yy / det)
+    g_yy = g_a * 0.5 * a * (1 / yy - xx / det) + g_b * a * xy / (yy * yy) - g_c * 0.5 * c / yy
+    g_xy = g_a * a * xy / det - g_b * a / yy
+    for k in range(3):
+        g_rows[0, k] = 2 * g_xx * rows[0, k] + g_xy * rows[1, k]
+        g_rows[1, k] = 2 * g_yy * rows[1, k] + g_xy * rows[0, k]
+
+
+@kernel
+def _quaternion_gradient(q, norm, m):  # type: ignore[no-untyped-def]
+    """Gradient of the unnormalised quaternion, from that of its rotation's entries ``m`` (9,)."""
+    w, x, y, z = q
+    gw = 2 * (x * (m[7] - m[5]) + y * (m[2] - m[6]) + z * (m[3] - m[1]))
+    gx = 2 * (y * (m[1] + m[3]) + z * (m[2] + m[6]) + w * (m[7] - m[5]) - 2 * x * (m[4] + m[8]))
+    gy = 2 * (x * (m[1] + m[3]) + z * (m[5] + m[7]) + w * (m[2] - m[6]) - 2 * y * (m[0] + m[8]))
+    gz = 2 * (x * (m[2] + m[6]) + y * (m[5] + m[7]) + w * (m[3] - m[1]) - 2 * z * (m[0] + m[4]))
+    along = gw * w + gx * x + gy * y + gz * z
+    return (
+        (gw - along * w) / norm,
+        (gx - along * x) / norm,
+        (gy - along * y) / norm,
+        (gz - along * z) / norm,
+    )
+
+
+@kernel
+def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):  # type: ignore[no-untyped-def]
+    """Scales' and rotation's gradients, from that of ``view @ rotation @ diag(scales)``."""
+    rotation = to_matrix(q[0], q[1], q[2], q[3])
+    g_matrix = np.empty(9, np.float64)
+    for k in range(3):
+        sigma = sigmas[i, k]
+        g_scale = 0.0
+        for world in range(3):
+            # Back through the view's rotation, then split between the axis and its length.
+            g = view[0, world] * g_n[0, k] + view[1, world] * g_n[1, k] + view[2, world] * g_n[2, k]
+            g_scale += g * rotation[3 * world + k]
+            g_matrix[3 * world + k] = g * sigma
+        g_scales[i, k] = g_scale
+    g_q = _quaternion_gradient(q, norm, g_matrix)
+    for k in range(4):
+        g_rotations[i, k] = g_q[k]
+
+
+@kernel
+def _sum_pairs(i, slots, pairs, sums):  # type: ignore[no-untyped-def]
+    sums[:] = 0.0
+    for slot in range(slots[i], slots[i + 1]):
+        for k in range(SUMS):
+            sums[k] += pairs[slot, k]
+
+
+@kernel
+def unproject(begin, end, means, scales, rotations, opacities, view, lens, height, width,
+              status, records, slots, pairs,
+              g_means, g_scales, g_rotations, g_opacities, g_colours):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Fill the gradients, all zero before, of the Gaussians ``begin`` to ``end``.
+
+    The arguments up to ``records`` are those of the projection, ``slots`` and ``pairs`` those of
+    ``gradients.unblend``.
+    """
+    fx, fy = lens[0], lens[1]
+    x_low, x_high = axis_limits(fx, lens[2], width)
+    y_low, y_high = axis_limits(fy, lens[3], height)
+    rows, g_rows = np.empty((2, 3), np.float64), np.empty((2, 3), np.float64)
+    g_n, sums = np.empty((3, 3), np.float64), np.empty(SUMS, np.float64)
+    for i in range(begin, end):
+        if status[i] != VISIBLE:
+            continue
+        _sum_pairs(i, slots, pairs, sums)
+        g_opacities[i] = sums[G] / (opacities[i] * math.log(2.0))
+        for k in range(3):
+            g_colours[i, k] = sums[RED + k]
+        m0, m1, m2 = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        a, b, c, z = records[i, A], records[i, B], records[i, C], records[i, Z]
+        x_z = (view[0, 0] * m0 + view[0, 1] * m1 + view[0, 2] * m2 + view[0, 3]) / z
+        y_z = (view[1, 0] * m0 + view[1, 1] * m1 + view[1, 2] * m2 + view[1, 3]) / z
+        slope_x, slope_y = min(max(x_z, x_low), x_high), min(max(y_z, y_low), y_high)
+        qw, qx = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
+        qy, qz = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
+        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        q = (qw / norm, qx / norm, qy / norm, qz / norm)
+        s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
+        footprint(view, q, s0, s1, s2, fx / z, fy / z, slope_x, slope_y, rows)
+        _shape_gradient(sums, a, b, c, rows, g_rows)
+        # rows[0] = fx / z (n[0] - slope_x n[2]), so n[2] without forming it again:
+        g_slope_x, g_slope_y, g_z = 0.0, 0.0, sums[DEPTH]
+        rotation = to_matrix(q[0], q[1], q[2], q[3])
+        for k in range(3):
+            sigma = s0 if k == 0 else (s1 if k == 1 else s2)
+            n2 = sigma * (
+                view[2, 0] * rotation[k]
+                + view[2, 1] * rotation[3 + k]
+                + view[2, 2] * rotation[6 + k]
+            )
+            g_n[0, k], g_n[1, k] = fx / z * g_rows[0, k], fy / z * g_rows[1, k]
+            g_n[2, k] = -slope_x * g_n[0, k] - slope_y * g_n[1, k]
+            g_slope_x -= g_n[0, k] * n2
+            g_slope_y -= g_n[1, k] * n2
+            g_z -= (g_rows[0, k] * rows[0, k] + g_rows[1, k] * rows[1, k]) / z
+        _axes_gradient(i, view, q, norm, scales, g_n, g_scales, g_rotations)
+        # The centre moves freely; the Jacobian's slopes only inside the frame's margin.
+        g_x_z = 2 * a * sums[G_P] * fx + (g_slope_x if slope_x == x_z else 0.0)
+        g_y_z = 2 * (b * sums[G_P] + c * c * sums[G_DY]) * fy + (
+            g_slope_y if slope_y == y_z else 0.0
+        )
+        g_z -= (g_x_z * x_z + g_y_z * y_z) / z
+        for k in range(3):
+            g_means[i, k] = (
+                view[0, k] * g_x_z / z + view[1, k] * g_y_z / z + view[2, k] * g_z
+            )  # fmt: skip

@@ -1,0 +1,218 @@
+"""From Gaussians in the world to splats on the frame (EWA projection)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.splatting.compiler import kernel, parallel_for
+from styl3r_cli.splatting.constants import (
+    DILATION,
+    HALVINGS_PER_SQUARED_SIGMA,
+    JACOBIAN_MARGIN,
+    LOG2_INVERSE_ALPHA_MIN,
+    NEAR_FRACTION,
+    PIXEL_CENTRE,
+    TILE,
+)
+
+# Columns of a splat's record. At pixel offsets (dx, dy) from the centre (U, V) its alpha is
+# 2^(LOG_OPACITY - p^2 - q^2) with p = A dx + B dy and q = C dy. This factored form of the inverse
+# covariance stays exact for needles, where A dx^2 + 2 B dx dy + C dy^2 cancels catastrophically.
+U, V, A, B, C, LOG_OPACITY, Z, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 8
+
+VISIBLE, OUTSIDE, INVALID = 0, 1, 2
+
+# Largest number of means that the scene's size is measured on (the median needs no more).
+SIZE_SAMPLES = 8192
+
+
+@dataclass(frozen=True)
+class Splats:
+    """What one camera sees of G Gaussians.
+
+    Attributes:
+        records: (G, COLUMNS) float64, see the names of the columns; undefined where not visible.
+        rects: (G, 4) int32, the tiles that a splat touches: first column and row, last column
+            and row, all inclusive.
+        status: (G,) uint8: VISIBLE, OUTSIDE (of the frame, or invisible), INVALID.
+    """
+
+    records: NDArray[np.float64]
+    rects: NDArray[np.int32]
+    status: NDArray[np.uint8]
+
+
+def near_plane(means: NDArray[np.float32]) -> float:
+    """The nearest view z that is drawn, for a scene of these (G, 3) means.
+
+    A fraction of the median distance from the scene's median point: the same for every camera
+    (so that nothing pops along a path), in any unit, and wherever the scene lies.
+    """
+    sample = means[:: max(1, len(means) // SIZE_SAMPLES)].astype(np.float64)
+    sample = sample[np.isfinite(sample).all(axis=1)]
+    if len(sample) == 0:
+        return 0.0
+    distances = np.linalg.norm(sample - np.median(sample, axis=0), axis=1)
+    return NEAR_FRACTION * float(np.median(distances))
+
+
+def project(
+    means: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    rotations: NDArray[np.float32],
+    opacities: NDArray[np.float32],
+    colours: NDArray[np.float32],
+    extrinsics: NDArray[np.float64],
+    lens: NDArray[np.float64],
+    size: tuple[int, int],
+    near: float,
+    threads: int | None,
+) -> Splats:
+    """Project Gaussians (arrays as in Gaussians) into a camera.
+
+    Args:
+        extrinsics: (4, 4) world-to-camera.
+        lens: (4,) fx, fy, cx, cy in pixels.
+        size: height and width of the frame.
+        near: view z at or below which nothing is drawn.
+        threads: how many to use; None for every core.
+    """
+    count = len(means)
+    records = np.empty((count, COLUMNS), np.float64)
+    rects = np.empty((count, 4), np.int32)
+    status = np.empty(count, np.uint8)
+    parallel_for(
+        _project, count, threads,
+        means, scales, rotations, opacities, colours,
+        np.ascontiguousarray(extrinsics, np.float64), lens, size[0], size[1], float(near),
+        records, rects, status,
+    )  # fmt: skip
+    return Splats(records, rects, status)
+
+
+@kernel
+def axis_limits(focal, centre, length):  # type: ignore[no-untyped-def]
+    """Range of x/z (or y/z) within which the projection's Jacobian is trusted."""
+    margin = JACOBIAN_MARGIN * 0.5 * length / focal
+    return -centre / focal - margin, (length - centre) / focal + margin
+
+
+@kernel
+def to_matrix(w, x, y, z):  # type: ignore[no-untyped-def]
+    """The (3, 3) rotation of a unit quaternion, row by row."""
+    return (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
+
+
+@kernel
+def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y, rows):  # type: ignore[no-untyped-def]
+    """Fill ``rows`` (2, 3): the frame's x and y, in pixels, per sigma along each own axis."""
+    qw, qx, qy, qz = quaternion
+    r = to_matrix(qw, qx, qy, qz)
+    for k in range(3):
+        scale = sx if k == 0 else (sy if k == 1 else sz)
+        n0 = (view[0, 0] * r[k] + view[0, 1] * r[3 + k] + view[0, 2] * r[6 + k]) * scale
+        n1 = (view[1, 0] * r[k] + view[1, 1] * r[3 + k] + view[1, 2] * r[6 + k]) * scale
+        n2 = (view[2, 0] * r[k] + view[2, 1] * r[3 + k] + view[2, 2] * r[6 + k]) * scale
+        rows[0, k] = fx_z * (n0 - slope_x * n2)
+        rows[1, k] = fy_z * (n1 - slope_y * n2)
+
+
+@kernel
+def covariance(rows):  # type: ignore[no-untyped-def]
+    """Dilated variances along x and y, their covariance, and the determinant.
+
+    The determinant as a sum of squares: the usual xx * yy - xy^2 cancels for needles.
+    """
+    xx = rows[0, 0] ** 2 + rows[0, 1] ** 2 + rows[0, 2] ** 2
+    yy = rows[1, 0] ** 2 + rows[1, 1] ** 2 + rows[1, 2] ** 2
+    xy = rows[0, 0] * rows[1, 0] + rows[0, 1] * rows[1, 1] + rows[0, 2] * rows[1, 2]
+    m0 = rows[0, 1] * rows[1, 2] - rows[0, 2] * rows[1, 1]
+    m1 = rows[0, 2] * rows[1, 0] - rows[0, 0] * rows[1, 2]
+    m2 = rows[0, 0] * rows[1, 1] - rows[0, 1] * rows[1, 0]
+    det = m0 * m0 + m1 * m1 + m2 * m2 + DILATION * (xx + yy) + DILATION * DILATION
+    return xx + DILATION, yy + DILATION, xy, det
+
+
+@kernel
+def _valid(i, means, scales, rotations, opacities, colours):  # type: ignore[no-untyped-def]
+    """Whether Gaussian i is finite and describes an ellipsoid."""
+    total = np.float64(opacities[i])
+    for k in range(3):
+        total += np.float64(means[i, k]) + np.float64(scales[i, k]) + np.float64(colours[i, k])
+        if scales[i, k] < 0:
+            return False
+    norm = 0.0
+    for k in range(4):
+        total += np.float64(rotations[i, k])
+        norm += np.float64(rotations[i, k]) ** 2
+    return math.isfinite(total) and norm > 0
+
+
+@kernel
+def _project(begin, end, means, scales, rotations, opacities, colours, view, lens,
+             height, width, near, records, rects, status):  # type: ignore[no-untyped-def]  # fmt: skip
+    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
+    x_low, x_high = axis_limits(fx, cx, width)
+    y_low, y_high = axis_limits(fy, cy, height)
+    rows = np.empty((2, 3), np.float64)
+    for i in range(begin, end):
+        status[i] = OUTSIDE
+        if not _valid(i, means, scales, rotations, opacities, colours):
+            status[i] = INVALID
+            continue
+        m0, m1, m2 = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        z = view[2, 0] * m0 + view[2, 1] * m1 + view[2, 2] * m2 + view[2, 3]
+        opacity = np.float64(opacities[i])
+        if not (z > near and z > 0 and opacity > 0):
+            continue
+        slope_x = (view[0, 0] * m0 + view[0, 1] * m1 + view[0, 2] * m2 + view[0, 3]) / z
+        slope_y = (view[1, 0] * m0 + view[1, 1] * m1 + view[1, 2] * m2 + view[1, 3]) / z
+        qw, qx = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
+        qy, qz = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
+        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        footprint(
+            view, (qw / norm, qx / norm, qy / norm, qz / norm),
+            np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2]),
+            fx / z, fy / z, min(max(slope_x, x_low), x_high), min(max(slope_y, y_low), y_high),
+            rows,
+        )  # fmt: skip
+        xx, yy, xy, det = covariance(rows)
+        if not math.isfinite(det + xx + yy):
+            status[i] = INVALID
+            continue
+        log_opacity = math.log2(opacity)
+        reach = log_opacity + LOG2_INVERSE_ALPHA_MIN
+        if reach <= 0:
+            continue
+        u, v = fx * slope_x + cx, fy * slope_y + cy
+        reach /= HALVINGS_PER_SQUARED_SIGMA
+        if not _touch(i, rects, u, v, math.sqrt(reach * xx), math.sqrt(reach * yy), width, height):
+            continue
+        a = math.sqrt(HALVINGS_PER_SQUARED_SIGMA * yy / det)
+        records[i, U], records[i, V], records[i, Z] = u, v, z
+        records[i, A], records[i, B] = a, -a * xy / yy
+        records[i, C] = math.sqrt(HALVINGS_PER_SQUARED_SIGMA / yy)
+        records[i, LOG_OPACITY] = log_opacity
+        status[i] = VISIBLE
+
+
+@kernel
+def _touch(i, rects, u, v, radius_x, radius_y, width, height):  # type: ignore[no-untyped-def]
+    """Note the tiles around a splat; False if no pixel's centre lies within its extent."""
+    x0 = max(np.ceil(u - radius_x - PIXEL_CENTRE), 0.0)
+    y0 = max(np.ceil(v - radius_y - PIXEL_CENTRE), 0.0)
+    x1 = min(np.floor(u + radius_x - PIXEL_CENTRE), width - 1.0)
+    y1 = min(np.floor(v + radius_y - PIXEL_CENTRE), height - 1.0)
+    if not (x0 <= x1 and y0 <= y1):
+        return False
+    rects[i, 0], rects[i, 1] = int(x0) // TILE, int(y0) // TILE
+    rects[i, 2], rects[i, 3] = int(x1) // TILE, int(y1) // TILE
+    return True
