@@ -1,0 +1,213 @@
+"""One photo file to upright 8-bit sRGB, whatever its format, depth, colour space or rotation."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import (  # the plugins register their formats on import
+    AvifImagePlugin,  # noqa: F401
+    BmpImagePlugin,  # noqa: F401
+    GifImagePlugin,  # noqa: F401
+    Image,
+    ImageCms,
+    JpegImagePlugin,  # noqa: F401
+    PngImagePlugin,  # noqa: F401
+    PpmImagePlugin,  # noqa: F401
+    TiffImagePlugin,  # noqa: F401
+    UnidentifiedImageError,
+    WebPImagePlugin,  # noqa: F401
+)
+
+from styl3r_cli.errors import InputError
+from styl3r_cli.photos.focal import read_equivalent_focal
+
+# A 200-megapixel phone photo passes; more is a scan too large for this, or a decompression bomb.
+MAX_PIXELS = 220_000_000
+# Formats that hold photos; Pillow's others include ones that start external programs (EPS).
+# HEIF is there once pillow-heif has registered it, AVIF where Pillow was built with it.
+FORMATS = ["JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "AVIF", "HEIF"]
+HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
+RAW_SUFFIXES = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}
+WHITE = (255, 255, 255)  # what transparent pixels are put on: paper, as picture viewers print them
+MAX_8_BIT, MAX_16_BIT = 255, 65535
+ORIENTATION = 0x0112  # EXIF tag
+UPRIGHT = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+DECODER_FAILURES = (
+    OSError,
+    ValueError,
+    SyntaxError,  # Pillow's PNG reader
+    EOFError,
+    IndexError,
+    KeyError,
+    TypeError,
+    RuntimeError,  # libheif
+    struct.error,
+    zlib.error,
+    Image.DecompressionBombError,
+)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A photo as a viewer shows it.
+
+    Attributes:
+        image: RGB, 8 bits, sRGB, upright.
+        equivalent_focal: 35 mm equivalent focal length from EXIF in mm, None where unknown.
+        notes: what was done to the pixels that a user may want to know.
+    """
+
+    image: Image.Image
+    equivalent_focal: float | None
+    notes: list[str] = field(default_factory=list)
+
+
+def decode(path: Path) -> Decoded:
+    """Read a photo or a style picture.
+
+    16-bit values are scaled (65535 becomes 255), alpha is composited on white, an embedded ICC
+    profile is converted to sRGB (relative colorimetric, black point compensated), the first frame
+    of an animation is used, and all eight EXIF orientations are undone.
+
+    Args:
+        path: JPEG, PNG, WebP, TIFF, AVIF, BMP, GIF, PPM, or HEIC where pillow-heif is installed.
+
+    Raises:
+        InputError: the file cannot be read, is no picture, is damaged or too large.
+    """
+    with _failures_named(path):
+        data = path.read_bytes()
+        _refuse_by_content(path, data)
+        with Image.open(io.BytesIO(data), formats=_formats()) as opened:
+            opened.load()
+            notes: list[str] = []
+            focal = read_equivalent_focal(opened)
+            image = _upright(_to_srgb(opened, notes), opened)
+    return Decoded(image, focal, [f"{path.name}: {note}" for note in notes])
+
+
+@contextmanager
+def _failures_named(path: Path) -> Iterator[None]:
+    """Any way in which a decoder fails becomes one line that names the file."""
+    # Pillow warns at its limit and refuses at twice that; the limit is the process's.
+    Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2
+    warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
+    try:
+        yield
+    except UnidentifiedImageError as error:
+        message = "not a picture that can be read (JPEG, PNG, WebP, TIFF)"
+        raise InputError(f"{path}: {message}") from error
+    except Image.DecompressionBombError as error:
+        message = f"larger than {MAX_PIXELS // 10**6} megapixels; scale it down first"
+        raise InputError(f"{path}: {message}") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: does not fit into memory; scale it down first") from error
+    except DECODER_FAILURES as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        message = " ".join(str(error).split())
+        raise InputError(f"{path}: damaged or unsupported picture: {message}") from error
+
+
+def _formats() -> list[str]:
+    return [name for name in FORMATS if name in Image.OPEN]
+
+
+def _refuse_by_content(path: Path, data: bytes) -> None:
+    """Errors that Pillow would describe less helpfully."""
+    if not data:
+        raise InputError(f"{path}: the file is empty")
+    if path.suffix.lower() in RAW_SUFFIXES:
+        raise InputError(f"{path}: camera raw; export it as JPEG or TIFF first")
+    if data[4:8] == b"ftyp" and data[8:12] in HEIC_BRANDS:
+        try:
+            from pillow_heif import register_heif_opener
+        except ImportError as error:
+            raise InputError(
+                f"{path}: HEIC needs an extra: pip install 'styl3r[heic]' (or export it as JPEG)"
+            ) from error
+        register_heif_opener()
+
+
+def _upright(image: Image.Image, opened: Image.Image) -> Image.Image:
+    # Asked after loading: some of Pillow's readers turn the picture themselves and say so then.
+    method = UPRIGHT.get(opened.getexif().get(ORIENTATION, 1))
+    return image if method is None else image.transpose(method)
+
+
+def _to_srgb(image: Image.Image, notes: list[str]) -> Image.Image:
+    """8-bit RGB from any mode; the picture's alpha, if any, ends on white."""
+    profile = image.info.get("icc_profile")
+    if image.mode.startswith("I"):
+        image = Image.fromarray(_eight_bits(image))
+    elif image.mode == "F":
+        raise ValueError("floating-point pixels; save it with 8 or 16 bits a channel")
+    alpha = None
+    if image.has_transparency_data:
+        image = image.convert("RGBA")
+        alpha = image.getchannel("A")
+        image = image.convert("RGB")
+    elif image.mode in ("1", "P", "HSV", "YCbCr", "RGBX"):
+        image = image.convert("L" if image.mode == "1" else "RGB")
+    colours = _apply_profile(image, profile, notes) if profile else None
+    colours = colours or image.convert("RGB")
+    if alpha is not None and np.asarray(alpha).min() < MAX_8_BIT:
+        notes.append("transparent pixels were put on white")
+        colours = Image.composite(colours, Image.new("RGB", colours.size, WHITE), alpha)
+    return colours
+
+
+def _eight_bits(image: Image.Image) -> NDArray[np.uint8]:
+    """16-bit grey (modes I;16, I;16B, I) to 8 bits, rounded; Pillow's own conversion clips."""
+    values = np.asarray(image).astype(np.int64)
+    if values.min() < 0 or values.max() > MAX_16_BIT:
+        raise ValueError("32-bit integer pixels; save it with 8 or 16 bits a channel")
+    if image.format == "TIFF" and image.mode != "I" and _white_is_zero(image):
+        values = MAX_16_BIT - values
+    return ((values * MAX_8_BIT + MAX_16_BIT // 2) // MAX_16_BIT).astype(np.uint8)
+
+
+def _white_is_zero(image: Image.Image) -> bool:
+    photometric_interpretation = 262
+    tags = getattr(image, "tag_v2", {})
+    return tags.get(photometric_interpretation) == 0
+
+
+def _apply_profile(image: Image.Image, profile: bytes, notes: list[str]) -> Image.Image | None:
+    """The picture in sRGB, or None where there is nothing to convert or the profile is unusable."""
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if "sRGB" in ImageCms.getProfileDescription(source):
+            return None
+        if source.profile.xcolor_space.strip() == "RGB" and image.mode == "L":
+            image = image.convert("RGB")
+        elif source.profile.xcolor_space.strip() == "GRAY" and image.mode == "RGB":
+            image = image.convert("L")
+        return ImageCms.profileToProfile(
+            image,
+            source,
+            ImageCms.createProfile("sRGB"),
+            renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
+            outputMode="RGB",
+            flags=ImageCms.Flags.BLACKPOINTCOMPENSATION,
+        )
+    except (ImageCms.PyCMSError, OSError, ValueError, TypeError):
+        notes.append("the embedded colour profile cannot be used; taken as sRGB")
+        return None

@@ -1,0 +1,81 @@
+"""The paper's resize and centre crop, for photos and for style pictures, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+PATCH = 16  # the network's patch size; both sides of its pictures are multiples of it
+
+
+def fit_photo(image: Image.Image, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Scale a photo until it just covers `size`, then crop its centre.
+
+    LANCZOS on 8-bit values, as the published network was trained (Styl3R, arXiv 2505.21060).
+    Smaller photos are enlarged.
+
+    Args:
+        image: RGB.
+        size: (height, width) of the result.
+
+    Returns:
+        (height, width, 3) uint8.
+    """
+    height, width = size
+    resized_height, resized_width = _covering(image.size, size)
+    resized = image.resize((resized_width, resized_height), Image.Resampling.LANCZOS)
+    top, left = (resized_height - height) // 2, (resized_width - width) // 2
+    return np.asarray(resized)[top : top + height, left : left + width]
+
+
+def fit_intrinsics(
+    intrinsics: NDArray[np.float64], photo_size: tuple[int, int], size: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Intrinsics of a photo after `fit_photo`, normalised by the result's width and height.
+
+    Distances from the picture's centre are scaled like the picture, the principal point's
+    included; the half pixel that an odd margin shifts the crop by is ignored, so a principal point
+    in the photo's centre stays in the crop's centre, as in the network's training.
+
+    Args:
+        intrinsics: (3, 3) in the photo's pixels.
+        photo_size: (width, height) of the photo before `fit_photo`.
+        size: (height, width) of the result.
+
+    Returns:
+        (3, 3) float32.
+    """
+    (height, width), (resized_height, resized_width) = size, _covering(photo_size, size)
+    centre = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    normalised = intrinsics / np.array([[photo_size[0]], [photo_size[1]], [1.0]])
+    magnified = np.array([[resized_width / width], [resized_height / height], [1.0]])
+    return ((normalised - centre) * magnified + centre).astype(np.float32)
+
+
+def fit_style(image: Image.Image, side: int) -> NDArray[np.uint8]:
+    """Scale a style picture's shorter side to `side`, then crop the centre square.
+
+    The longer side is truncated and the crop's corner rounded half to even, as the published
+    network's styles are prepared.
+
+    Args:
+        image: RGB.
+        side: height and width of the result.
+
+    Returns:
+        (side, side, 3) uint8.
+    """
+    shorter, longer = sorted(image.size)
+    scaled = int(side * longer / shorter)
+    width, height = (side, scaled) if image.width <= image.height else (scaled, side)
+    resized = image.resize((width, height), Image.Resampling.LANCZOS)
+    top, left = round((height - side) / 2), round((width - side) / 2)
+    return np.asarray(resized)[top : top + side, left : left + side]
+
+
+def _covering(photo_size: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    """(height, width) of a (width, height) photo scaled so that it just covers `size`."""
+    width, height = photo_size
+    factor = max(size[0] / height, size[1] / width)
+    return round(height * factor), round(width * factor)

@@ -1,0 +1,61 @@
+"""Arguments to photo files: order, skipped files, and errors that say what was not found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from styl3r_cli.errors import InputError
+from styl3r_cli.photos.expand import expand
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ["img10.jpg", "img2.JPG", "IMG1.png", "é 3.webp", ".DS_Store", ".x.jpg", "a.txt"]:
+        (tmp_path / name).write_bytes(b"x")
+    (tmp_path / "sub.jpg").mkdir()
+    return tmp_path
+
+
+def names(paths: list[Path]) -> list[str]:
+    return [path.name for path in paths]
+
+
+def test_folder_is_sorted_as_people_count(folder: Path) -> None:
+    notes: list[str] = []
+    assert names(expand([str(folder)], notes)) == ["IMG1.png", "img2.JPG", "img10.jpg", "é 3.webp"]
+    assert notes == [f"{folder}: skipped a.txt (no photos)"]
+
+
+def test_glob_and_files_keep_the_order_of_the_arguments(folder: Path) -> None:
+    last = str(folder / "img10.jpg")
+    assert names(expand([last, str(folder / "[iI]*")])) == ["img10.jpg", "IMG1.png", "img2.JPG"]
+
+
+def test_files_are_taken_whatever_they_are_called(folder: Path) -> None:
+    assert names(expand([str(folder / "a.txt"), str(folder / ".x.jpg")])) == ["a.txt", ".x.jpg"]
+
+
+def test_file_with_glob_characters_in_its_name(folder: Path) -> None:
+    (folder / "a[1].jpg").write_bytes(b"x")
+    assert names(expand([str(folder / "a[1].jpg")])) == ["a[1].jpg"]
+
+
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("gone.jpg", "gone.jpg: no such file or folder"),
+        ("nowhere/gone.jpg", r"there is no folder .*nowhere"),
+        ("*.tiff", "no photo matches this pattern"),
+        ("sub.jpg", "no photos in this folder"),
+    ],
+)
+def test_missing_things_are_named(folder: Path, argument: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        expand([str(folder / argument)])
+
+
+def test_standard_input_is_refused() -> None:
+    with pytest.raises(InputError, match="cannot be read from standard input"):
+        expand(["-"])
