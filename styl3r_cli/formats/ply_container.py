@@ -1,0 +1,172 @@
+"""The PLY container: header, and the `vertex` element in any of its three encodings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.errors import InputError
+
+SCALARS = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+END = b"end_header"
+LONGEST_HEADER = 1 << 20  # a file without an end of the header is not searched for gigabytes
+
+
+@dataclass
+class Element:
+    """One element of the header: its properties' numpy types, or None for a list."""
+
+    name: str
+    count: int
+    names: list[str] = field(default_factory=list)
+    types: list[str | None] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Table:
+    """The rows of the `vertex` element: a structured array, or one float64 column a property."""
+
+    names: list[str]
+    rows: NDArray[Any]
+    comments: list[str]
+
+    def column(self, name: str) -> NDArray[Any]:
+        """One property of all vertices."""
+        if self.rows.dtype.names:
+            return self.rows[name]
+        return self.rows[:, self.names.index(name)]
+
+
+def read_vertices(data: bytes, name: str) -> Table:
+    """Find and read the `vertex` element of a PLY file.
+
+    Args:
+        data: the whole file.
+        name: what to call it in messages.
+
+    Raises:
+        InputError: it is no PLY file, or its header or its length is wrong.
+    """
+    lines, body = _split(data, name)
+    order, elements, comments = _parse_header(lines, name)
+    before: list[Element] = []
+    for element in elements:
+        if element.name == "vertex":
+            break
+        before.append(element)
+    else:
+        raise InputError(f"{name}: the PLY has no 'vertex' element")
+    if None in element.types:
+        raise InputError(f"{name}: vertices with lists, which 3D Gaussians do not have")
+    if len(set(element.names)) < len(element.names):
+        raise InputError(f"{name}: the PLY header names a property of 'vertex' twice")
+    read = _read_binary if order else _read_ascii
+    return Table(element.names, read(data, body, order, before, element, name), comments)
+
+
+def _split(data: bytes, name: str) -> tuple[list[str], int]:
+    """The header's lines, and where the body begins."""
+    if data[:4] not in (b"ply\n", b"ply\r"):
+        raise InputError(f"{name}: not a PLY file" if data else f"{name}: the file is empty")
+    end = data.find(b"\n" + END, 0, LONGEST_HEADER)
+    line_end = data.find(b"\n", end + 1) if end >= 0 else -1
+    if line_end < 0:
+        raise InputError(f"{name}: the PLY header has no end; is the file cut off?")
+    text = data[:end].decode("utf-8", errors="replace")
+    return [line.removesuffix("\r") for line in text.split("\n")], line_end + 1
+
+
+def _parse_header(lines: list[str], name: str) -> tuple[str, list[Element], list[str]]:
+    order: str | None = None
+    elements: list[Element] = []
+    comments: list[str] = []
+    for line in lines[1:]:
+        words = line.split()
+        try:
+            match words:
+                case ["comment" | "obj_info", *_]:
+                    comments.append(line.lstrip().split(" ", 1)[1] if " " in line.strip() else "")
+                case ["format", encoding, _]:
+                    order = BYTE_ORDERS[encoding]
+                case ["element", element, count]:
+                    elements.append(Element(element, int(count)))
+                    if int(count) < 0:
+                        raise ValueError(count)
+                case ["property", "list", length, item, label]:
+                    _ = SCALARS[length], SCALARS[item]
+                    elements[-1].names.append(label)
+                    elements[-1].types.append(None)
+                case ["property", scalar, label]:
+                    elements[-1].names.append(label)
+                    elements[-1].types.append(SCALARS[scalar])
+                case []:
+                    pass
+                case _:
+                    raise ValueError(line)
+        except (KeyError, ValueError, IndexError) as error:
+            raise InputError(f"{name}: bad line in the PLY header: '{line.strip()}'") from error
+    if order is None:
+        raise InputError(f"{name}: the PLY header does not say its format")
+    return order, elements, comments
+
+
+def _read_binary(
+    data: bytes, body: int, order: str, before: list[Element], vertex: Element, name: str
+) -> NDArray[Any]:
+    for element in before:
+        if None in element.types:
+            raise InputError(f"{name}: lists before the vertices; save it with the vertices first")
+        body += element.count * _row(element, order).itemsize
+    row = _row(vertex, order)
+    whole = max(len(data) - body, 0) // max(row.itemsize, 1)
+    if whole < vertex.count:
+        raise InputError(f"{name}: cut off: {whole} of {vertex.count} Gaussians are there")
+    return np.frombuffer(data, row, vertex.count, body)
+
+
+def _read_ascii(
+    data: bytes, body: int, order: str, before: list[Element], vertex: Element, name: str
+) -> NDArray[Any]:
+    lines = [line for line in data[body:].splitlines() if line.strip()]
+    first = sum(element.count for element in before)
+    rows = lines[first : first + vertex.count]
+    if len(rows) < vertex.count:
+        raise InputError(f"{name}: cut off: {len(rows)} of {vertex.count} Gaussians are there")
+    width = len(vertex.names)
+    values = [row.split() for row in rows]
+    if any(len(row) != width for row in values):
+        raise InputError(f"{name}: a vertex does not have the header's {width} numbers")
+    try:
+        return np.array(values, dtype="S").astype(np.float64).reshape(len(rows), width)
+    except ValueError as error:
+        raise InputError(f"{name}: a vertex has something that is no number: {error}") from error
+
+
+def _row(element: Element, order: str) -> np.dtype[np.void]:
+    return np.dtype(
+        [
+            (label, order + str(kind))
+            for label, kind in zip(element.names, element.types, strict=True)
+        ]
+    )
