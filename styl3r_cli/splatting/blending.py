@@ -6,6 +6,9 @@ array and constant distances LLVM need not fear that the planes overlap, and wit
 indices numba need not check for negative ones.
 """
 
+# numba infers the types of the kernels.
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 import math
@@ -58,7 +61,7 @@ _ROW = np.uintp(TILE)
 
 
 @kernel
-def power_of_two(t):  # type: ignore[no-untyped-def]
+def power_of_two(t):
     """2^t in float32, for t in [-8, 0] (others are clamped)."""
     x = min(max(t, _LOWEST), _ZERO) * _EIGHTH
     p = _C0 + x * (_C1 + x * (_C2 + x * (_C3 + x * (_C4 + x * _C5))))
@@ -68,7 +71,7 @@ def power_of_two(t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def covered_rows(v, c, reach):  # type: ignore[no-untyped-def]
+def covered_rows(v, c, reach):
     """First and last row of the tile that a splat reaches; v is relative to the first centre."""
     radius = math.sqrt(reach) / c
     return (
@@ -78,7 +81,7 @@ def covered_rows(v, c, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def covered_lanes(p, a, rest):  # type: ignore[no-untyped-def]
+def covered_lanes(p, a, rest):
     """First and past-the-last pixel of a row within reach, widened to whole halves.
 
     Args:
@@ -94,7 +97,7 @@ def covered_lanes(p, a, rest):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def start_tile(state, x0, y0, width, height):  # type: ignore[no-untyped-def]
+def start_tile(state, x0, y0, width, height):
     """Empty the planes. Pixels outside the frame are finished (transmittance below 0)."""
     state[:] = _ZERO
     for y in range(TILE):
@@ -104,16 +107,16 @@ def start_tile(state, x0, y0, width, height):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def finished(transmittance):  # type: ignore[no-untyped-def]
+def finished(transmittance):
     """Whether every pixel is."""
-    for value in transmittance:
+    for value in transmittance:  # noqa: SIM110 (numba has no `all` of a generator)
         if value > _ZERO:
             return False
     return True
 
 
 @kernel
-def _blend_row(state, first, past, p, a, log_alpha, red, green, blue, z):  # type: ignore[no-untyped-def]
+def _blend_row(state, first, past, p, a, log_alpha, red, green, blue, z):
     """Add one splat to the pixels ``first`` to ``past`` of ``state``'s planes."""
     count = past - first
     for j in range(count):
@@ -135,7 +138,7 @@ def _blend_row(state, first, past, p, a, log_alpha, red, green, blue, z):  # typ
 
 
 @kernel
-def _blend_tile(state, x0, y0, members, records, colours):  # type: ignore[no-untyped-def]
+def _blend_tile(state, x0, y0, members, records, colours):
     for n in range(len(members)):
         if n % CHECK_EVERY == CHECK_EVERY - 1 and finished(state[4 * _AREA :]):
             return
@@ -166,7 +169,7 @@ def _blend_tile(state, x0, y0, members, records, colours):  # type: ignore[no-un
 
 
 @kernel
-def blend(row_begin, row_end, order, rects, records, colours, planes):  # type: ignore[no-untyped-def]
+def blend(row_begin, row_end, order, rects, records, colours, planes):
     """Fill the rows of tiles ``row_begin`` to ``row_end`` of ``planes`` (PLANES, H, W)."""
     height, width = planes.shape[1], planes.shape[2]
     columns = (width + TILE - 1) // TILE

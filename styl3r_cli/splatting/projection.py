@@ -1,5 +1,8 @@
 """From Gaussians in the world to splats on the frame (EWA projection)."""
 
+# numba infers the types of the kernels.
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 import math
@@ -8,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting.compiler import kernel, parallel_for
 from styl3r_cli.splatting.constants import (
     DILATION,
@@ -46,7 +51,7 @@ class Splats:
     status: NDArray[np.uint8]
 
 
-def near_plane(means: NDArray[np.float32]) -> float:
+def near_plane(means: FloatArray) -> float:
     """The nearest view z that is drawn, for a scene of these (G, 3) means.
 
     A fraction of the median distance from the scene's median point: the same for every camera
@@ -60,49 +65,48 @@ def near_plane(means: NDArray[np.float32]) -> float:
     return NEAR_FRACTION * float(np.median(distances))
 
 
-def project(
-    means: NDArray[np.float32],
-    scales: NDArray[np.float32],
-    rotations: NDArray[np.float32],
-    opacities: NDArray[np.float32],
-    colours: NDArray[np.float32],
-    extrinsics: NDArray[np.float64],
-    lens: NDArray[np.float64],
-    size: tuple[int, int],
-    near: float,
-    threads: int | None,
-) -> Splats:
-    """Project Gaussians (arrays as in Gaussians) into a camera.
+def project(gaussians: Gaussians, camera: Camera, near: float, threads: int | None) -> Splats:
+    """Project Gaussians into a camera; view z up to ``near`` is not drawn.
 
-    Args:
-        extrinsics: (4, 4) world-to-camera.
-        lens: (4,) fx, fy, cx, cy in pixels.
-        size: height and width of the frame.
-        near: view z at or below which nothing is drawn.
-        threads: how many to use; None for every core.
+    Raises:
+        ValueError: if the camera is not finite or has no focal length or pixels.
     """
-    count = len(means)
-    records = np.empty((count, COLUMNS), np.float64)
-    rects = np.empty((count, 4), np.int32)
-    status = np.empty(count, np.uint8)
+    count = len(gaussians)
+    splats = Splats(
+        np.empty((count, COLUMNS), np.float64),
+        np.empty((count, 4), np.int32),
+        np.empty(count, np.uint8),
+    )
     parallel_for(
         _project, count, threads,
-        means, scales, rotations, opacities, colours,
-        np.ascontiguousarray(extrinsics, np.float64), lens, size[0], size[1], float(near),
-        records, rects, status,
+        gaussians.means, gaussians.scales, gaussians.rotations, gaussians.opacities,
+        gaussians.colours, np.ascontiguousarray(camera.extrinsics, np.float64), lens_of(camera),
+        camera.height, camera.width, float(near), splats.records, splats.rects, splats.status,
     )  # fmt: skip
-    return Splats(records, rects, status)
+    return splats
+
+
+def lens_of(camera: Camera) -> NDArray[np.float64]:
+    """Fx, fy, cx, cy of a camera, once it is known to be usable (ValueError if it is not)."""
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
+    if not (np.isfinite(lens).all() and np.isfinite(camera.extrinsics).all()):
+        raise ValueError("the camera is not finite")
+    if camera.fx <= 0 or camera.fy <= 0:
+        raise ValueError(f"the camera's focal lengths are {camera.fx} and {camera.fy}, not > 0")
+    if camera.width < 1 or camera.height < 1:
+        raise ValueError(f"the camera's frame has {camera.width}x{camera.height} pixels")
+    return lens
 
 
 @kernel
-def axis_limits(focal, centre, length):  # type: ignore[no-untyped-def]
+def axis_limits(focal, centre, length):
     """Range of x/z (or y/z) within which the projection's Jacobian is trusted."""
     margin = JACOBIAN_MARGIN * 0.5 * length / focal
     return -centre / focal - margin, (length - centre) / focal + margin
 
 
 @kernel
-def to_matrix(w, x, y, z):  # type: ignore[no-untyped-def]
+def to_matrix(w, x, y, z):
     """The (3, 3) rotation of a unit quaternion, row by row."""
     return (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -112,7 +116,7 @@ def to_matrix(w, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y, rows):  # type: ignore[no-untyped-def]
+def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y, rows):
     """Fill ``rows`` (2, 3): the frame's x and y, in pixels, per sigma along each own axis."""
     qw, qx, qy, qz = quaternion
     r = to_matrix(qw, qx, qy, qz)
@@ -126,7 +130,7 @@ def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y, rows):
 
 
 @kernel
-def covariance(rows):  # type: ignore[no-untyped-def]
+def covariance(rows):
     """Dilated variances along x and y, their covariance, and the determinant.
 
     The determinant as a sum of squares: the usual xx * yy - xy^2 cancels for needles.
@@ -142,7 +146,7 @@ def covariance(rows):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _valid(i, means, scales, rotations, opacities, colours):  # type: ignore[no-untyped-def]
+def _valid(i, means, scales, rotations, opacities, colours):
     """Whether Gaussian i is finite and describes an ellipsoid."""
     total = np.float64(opacities[i])
     for k in range(3):
@@ -158,7 +162,7 @@ def _valid(i, means, scales, rotations, opacities, colours):  # type: ignore[no-
 
 @kernel
 def _project(begin, end, means, scales, rotations, opacities, colours, view, lens,
-             height, width, near, records, rects, status):  # type: ignore[no-untyped-def]  # fmt: skip
+             height, width, near, records, rects, status):  # fmt: skip
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     x_low, x_high = axis_limits(fx, cx, width)
     y_low, y_high = axis_limits(fy, cy, height)
@@ -205,7 +209,7 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
 
 
 @kernel
-def _touch(i, rects, u, v, radius_x, radius_y, width, height):  # type: ignore[no-untyped-def]
+def _touch(i, rects, u, v, radius_x, radius_y, width, height):
     """Note the tiles around a splat; False if no pixel's centre lies within its extent."""
     x0 = max(np.ceil(u - radius_x - PIXEL_CENTRE), 0.0)
     y0 = max(np.ceil(v - radius_y - PIXEL_CENTRE), 0.0)

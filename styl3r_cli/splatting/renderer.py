@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import FloatArray, Gaussians
@@ -56,23 +55,11 @@ def render(
     Raises:
         ValueError: if the camera is not finite or has no focal length or pixels.
     """
-    lens = _checked_lens(camera)
-    height, width = camera.height, camera.width
-    splats = project(
-        gaussians.means,
-        gaussians.scales,
-        gaussians.rotations,
-        gaussians.opacities,
-        gaussians.colours,
-        camera.extrinsics,
-        lens,
-        (height, width),
-        near_plane(gaussians.means) if near is None else near,
-        threads,
-    )
-    planes = accumulate(splats, gaussians.colours, (height, width), threads)
+    near = near_plane(gaussians.means) if near is None else near
+    splats = project(gaussians, camera, near, threads)
+    planes = accumulate(splats, gaussians.colours, camera, threads)
     transmittance = planes[4]
-    colour = np.empty((height, width, 3), np.float32)
+    colour = np.empty((camera.height, camera.width, 3), np.float32)
     for channel in range(3):
         behind = 0.0 if background is None else background[channel]
         colour[..., channel] = planes[channel] + transmittance * np.float32(behind)
@@ -82,27 +69,14 @@ def render(
 
 
 def accumulate(
-    splats: Splats, colours: NDArray[np.float32], size: tuple[int, int], threads: int | None
-) -> NDArray[np.float32]:
+    splats: Splats, colours: FloatArray, camera: Camera, threads: int | None
+) -> FloatArray:
     """Blend splats into (5, H, W): weighted red, green, blue and depth, and transmittance."""
-    height, width = size
-    planes = np.empty((PLANES, height, width), np.float32)
+    planes = np.empty((PLANES, camera.height, camera.width), np.float32)
     order = depth_order(splats)
     rects = splats.rects[order]
     parallel_for(
-        blend, tile_count(height), threads,
+        blend, tile_count(camera.height), threads,
         order, rects, splats.records, colours, planes, min_parts=min_bands(rects),
     )  # fmt: skip
     return planes
-
-
-def _checked_lens(camera: Camera) -> NDArray[np.float64]:
-    """Fx, fy, cx, cy of a camera that can be rendered."""
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
-    if not (np.isfinite(lens).all() and np.isfinite(camera.extrinsics).all()):
-        raise ValueError("the camera is not finite")
-    if camera.fx <= 0 or camera.fy <= 0:
-        raise ValueError(f"the camera's focal lengths are {camera.fx} and {camera.fy}, not > 0")
-    if camera.width < 1 or camera.height < 1:
-        raise ValueError(f"the camera's frame has {camera.width}x{camera.height} pixels")
-    return lens

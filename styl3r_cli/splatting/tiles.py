@@ -1,5 +1,8 @@
 """Which splats each tile of the frame draws, nearest first."""
 
+# numba infers the types of the kernels.
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 import numpy as np
@@ -7,7 +10,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.splatting.compiler import kernel
 from styl3r_cli.splatting.constants import TILE
-from styl3r_cli.splatting.projection import VISIBLE, Z, Splats
+from styl3r_cli.splatting.projection import VISIBLE, Splats, Z
 
 RADIX_BITS = 11  # three passes cover a float32, and a histogram of 2^11 stays in the L1 cache
 
@@ -30,7 +33,7 @@ def depth_order(splats: Splats) -> NDArray[np.int32]:
 
 
 @kernel
-def _radix_sort(keys, values):  # type: ignore[no-untyped-def]
+def _radix_sort(keys, values):
     """The values in the order of their uint32 keys; stable."""
     count = len(keys)
     buckets = 1 << RADIX_BITS
@@ -59,7 +62,7 @@ def min_bands(rects: NDArray[np.int32]) -> int:
 
 
 @kernel
-def bin_band(row_begin, row_end, columns, order, rects):  # type: ignore[no-untyped-def]
+def bin_band(row_begin, row_end, columns, order, rects):
     """Lists of splats for the tiles in rows ``row_begin`` to ``row_end`` (exclusive).
 
     Every band of tiles builds its own lists, so bands need nothing from each other and the

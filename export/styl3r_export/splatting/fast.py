@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.typing import NDArray
 from torch import Tensor
 
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting.compiler import parallel_for
-from styl3r_cli.splatting.projection import VISIBLE, near_plane, project
+from styl3r_cli.splatting.projection import VISIBLE, Splats, lens_of, near_plane, project
 from styl3r_cli.splatting.renderer import accumulate
 from styl3r_cli.splatting.tiles import depth_order, min_bands, tile_count
 from styl3r_export.splatting.gradients import SUMS, unblend
@@ -55,15 +59,14 @@ def splat(
     Returns:
         colour over the background, alpha, and mean view z of what is seen (0 where alpha is 0).
     """
-    k = intrinsics.detach().cpu().double()
-    lens = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]], np.float64)
-    view = np.ascontiguousarray(extrinsics.detach().cpu().double().numpy())
+    view, lens = (value.detach().cpu().double().numpy() for value in (extrinsics, intrinsics))
+    camera = Camera(view, lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2], size[1], size[0])
     inputs = [
         value.float().cpu() for value in (means, scales, rotations, opacities, colours.clamp(min=0))
     ]
     if near is None:
         near = near_plane(inputs[0].detach().numpy())
-    weighted, alpha = _Splat.apply(*inputs, view, lens, size, near, threads)
+    weighted, alpha = _Splat.apply(*inputs, camera, near, threads)
     behind = torch.zeros(3) if background is None else torch.as_tensor(background).float()
     colour = weighted[:3] + (1 - alpha) * behind[:, None, None]
     seen = alpha > 0
@@ -76,51 +79,60 @@ class _Splat(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *arguments: Any) -> tuple[Tensor, Tensor]:
-        *tensors, view, lens, size, near, threads = arguments
-        arrays = [np.ascontiguousarray(tensor.detach().numpy()) for tensor in tensors]
-        splats = project(*arrays, view, lens, size, near, threads)
-        planes = accumulate(splats, arrays[4], size, threads)
+        *tensors, camera, near, threads = arguments
+        gaussians = Gaussians(*(tensor.detach().numpy() for tensor in tensors))
+        splats = project(gaussians, camera, near, threads)
+        planes = accumulate(splats, gaussians.colours, camera, threads)
         ctx.save_for_backward(*tensors)
-        ctx.camera = (view, lens, size, threads)
-        ctx.splats, ctx.planes = splats, planes
-        return torch.from_numpy(planes[:4].copy()), torch.from_numpy(1 - planes[4])
+        ctx.kept = _Kept(gaussians, camera, splats, planes, threads)
+        return torch.from_numpy(planes[:4]), torch.from_numpy(1 - planes[4])
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        arrays = [np.ascontiguousarray(tensor.numpy()) for tensor in ctx.saved_tensors]
+        _ = ctx.saved_tensors  # raises if one was changed in place since: the arrays are views
         incoming = np.concatenate([gradients[0].numpy(), gradients[1].numpy()[None]])
-        results = _backward(arrays, *ctx.camera, ctx.splats, ctx.planes, incoming)
-        return (*map(torch.from_numpy, results), None, None, None, None, None)
+        results = _backward(ctx.kept, incoming)
+        return (*map(torch.from_numpy, results), None, None, None)
 
 
-def _backward(
-    arrays: list[Any],
-    view: Any,
-    lens: Any,
-    size: tuple[int, int],
-    threads: int | None,
-    splats: Any,
-    planes: Any,
-    incoming: Any,
-) -> list[Any]:
+@dataclass(frozen=True)
+class _Kept:
+    """What the way back needs of the way forth (the arrays are views of the tensors)."""
+
+    gaussians: Gaussians
+    camera: Camera
+    splats: Splats
+    planes: FloatArray
+    threads: int | None
+
+
+def _backward(kept: _Kept, incoming: FloatArray) -> list[FloatArray]:
     """Gradients of the five arrays of Gaussians, from those of weighted planes and alpha."""
-    values = np.concatenate([planes[:4], 1 - planes[4:]])
-    total = np.einsum("chw,chw->hw", incoming, values)
-    spans = splats.rects[:, 2:].astype(np.int64) - splats.rects[:, :2] + 1
-    areas = np.where(splats.status == VISIBLE, spans[:, 0] * spans[:, 1], 0)
-    slots = np.concatenate([[0], np.cumsum(areas)])
+    gaussians, camera, splats = kept.gaussians, kept.camera, kept.splats
+    total = np.einsum("chw,chw->hw", incoming[:4], kept.planes[:4])
+    total += incoming[4] * (1 - kept.planes[4])
+    slots = _pair_slots(splats)
     pairs = np.zeros((slots[-1], SUMS), np.float32)
     order = depth_order(splats)
     rects = splats.rects[order]
     parallel_for(
-        unblend, tile_count(size[0]), threads,
-        order, rects, splats.rects, splats.records, arrays[4], incoming, total, slots, pairs,
-        min_parts=min_bands(rects),
+        unblend, tile_count(camera.height), kept.threads,
+        order, rects, splats.rects, splats.records, gaussians.colours, incoming, total,
+        slots, pairs, min_parts=min_bands(rects),
     )  # fmt: skip
-    results = [np.zeros_like(array) for array in arrays]
+    arrays = (gaussians.means, gaussians.scales, gaussians.rotations, gaussians.opacities)
+    results = [np.zeros_like(array) for array in (*arrays, gaussians.colours)]
+    view = np.ascontiguousarray(camera.extrinsics, np.float64)
     parallel_for(
-        unproject, len(arrays[0]), threads,
-        *arrays[:4], view, lens, size[0], size[1], splats.status, splats.records, slots, pairs,
-        *results,
+        unproject, len(gaussians), kept.threads,
+        *arrays, view, lens_of(camera), camera.height, camera.width,
+        splats.status, splats.records, slots, pairs, *results,
     )  # fmt: skip
     return results
+
+
+def _pair_slots(splats: Splats) -> NDArray[np.int64]:
+    """(G + 1,) where each splat's (splat, tile) pairs start; none for the invisible."""
+    spans = splats.rects[:, 2:].astype(np.int64) - splats.rects[:, :2] + 1
+    areas = np.where(splats.status == VISIBLE, spans[:, 0] * spans[:, 1], 0)
+    return np.concatenate([[0], np.cumsum(areas)])

@@ -7,6 +7,9 @@ summed per Gaussian afterwards: no two threads write to one place, and the sums 
 same order.
 """
 
+# numba infers the types of the kernels.
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 import functools
@@ -54,7 +57,7 @@ summing_kernel = functools.partial(kernel, fastmath=EXACT_ENOUGH | {"reassoc"})
 
 
 @summing_kernel
-def _unblend_row(state, first, past, p, dx, a, log_alpha, red, green, blue, z):  # type: ignore[no-untyped-def]
+def _unblend_row(state, first, past, p, dx, a, log_alpha, red, green, blue, z):
     """Sums of g, g p, g p dx and the weighted incoming gradients over a row of pixels."""
     s0, s1, s2 = _ZERO, _ZERO, _ZERO
     s_red, s_green, s_blue, s_depth = _ZERO, _ZERO, _ZERO, _ZERO
@@ -92,7 +95,7 @@ def _unblend_row(state, first, past, p, dx, a, log_alpha, red, green, blue, z): 
 
 
 @kernel
-def _unblend_splat(state, x0, y0, g, records, colours, sums):  # type: ignore[no-untyped-def]
+def _unblend_splat(state, x0, y0, g, records, colours, sums):
     """Fill one pair's ``sums`` (SUMS,)."""
     a, b, c = records[g, A], records[g, B], records[g, C]
     log_opacity = records[g, LOG_OPACITY]
@@ -130,7 +133,7 @@ def _unblend_splat(state, x0, y0, g, records, colours, sums):  # type: ignore[no
 
 
 @kernel
-def _load_tile(state, x0, y0, incoming, total):  # type: ignore[no-untyped-def]
+def _load_tile(state, x0, y0, incoming, total):
     """Set a tile's planes to the start; pixels outside the frame are finished."""
     height, width = total.shape
     state[:] = _ZERO
@@ -146,7 +149,7 @@ def _load_tile(state, x0, y0, incoming, total):  # type: ignore[no-untyped-def]
 
 @kernel
 def unblend(row_begin, row_end, order, order_rects, rects, records, colours, incoming, total,
-            slots, pairs):  # type: ignore[no-untyped-def]  # fmt: skip
+            slots, pairs):  # fmt: skip
     """Fill ``pairs`` (P, SUMS), all zero before, for the tiles in some rows.
 
     Args:

@@ -1,5 +1,8 @@
 """From gradients of splats on the frame to gradients of Gaussians in the world."""
 
+# numba infers the types of the kernels.
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 import math
@@ -19,14 +22,12 @@ from styl3r_cli.splatting.projection import (
     to_matrix,
 )
 from styl3r_export.splatting.gradients import (
-    BLUE,
     DEPTH,
     G_DY,
     G_DY_DY,
     G_P,
     G_P_DX,
     G_P_DY,
-    GREEN,
     RED,
     SUMS,
     G,
@@ -34,7 +35,7 @@ from styl3r_export.splatting.gradients import (
 
 
 @kernel
-def _shape_gradient(sums, a, b, c, rows, g_rows):  # type: ignore[no-untyped-def]
+def _shape_gradient(sums, a, b, c, rows, g_rows):
     """Fill ``g_rows`` (2, 3), the gradient of the footprint, through A, B, C and the covariance."""
     xx, yy, xy, det = covariance(rows)
     g_a, g_b, g_c = -2 * sums[G_P_DX], -2 * sums[G_P_DY], -2 * c * sums[G_DY_DY]
@@ -49,7 +50,7 @@ def _shape_gradient(sums, a, b, c, rows, g_rows):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _quaternion_gradient(q, norm, m):  # type: ignore[no-untyped-def]
+def _quaternion_gradient(q, norm, m):
     """Gradient of the unnormalised quaternion, from that of its rotation's entries ``m`` (9,)."""
     w, x, y, z = q
     gw = 2 * (x * (m[7] - m[5]) + y * (m[2] - m[6]) + z * (m[3] - m[1]))
@@ -66,7 +67,7 @@ def _quaternion_gradient(q, norm, m):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):  # type: ignore[no-untyped-def]
+def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):
     """Scales' and rotation's gradients, from that of ``view @ rotation @ diag(scales)``."""
     rotation = to_matrix(q[0], q[1], q[2], q[3])
     g_matrix = np.empty(9, np.float64)
@@ -85,7 +86,7 @@ def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):  # typ
 
 
 @kernel
-def _sum_pairs(i, slots, pairs, sums):  # type: ignore[no-untyped-def]
+def _sum_pairs(i, slots, pairs, sums):
     sums[:] = 0.0
     for slot in range(slots[i], slots[i + 1]):
         for k in range(SUMS):
@@ -95,7 +96,7 @@ def _sum_pairs(i, slots, pairs, sums):  # type: ignore[no-untyped-def]
 @kernel
 def unproject(begin, end, means, scales, rotations, opacities, view, lens, height, width,
               status, records, slots, pairs,
-              g_means, g_scales, g_rotations, g_opacities, g_colours):  # type: ignore[no-untyped-def]  # fmt: skip
+              g_means, g_scales, g_rotations, g_opacities, g_colours):  # fmt: skip
     """Fill the gradients, all zero before, of the Gaussians ``begin`` to ``end``.
 
     The arguments up to ``records`` are those of the projection, ``slots`` and ``pairs`` those of
