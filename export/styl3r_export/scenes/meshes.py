@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float32]
+#: Three numbers, or any array of them.
+Triple = Sequence[float] | NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Mesh:
     uvs: Array
 
     def placed(
-        self, position: Sequence[float] = (0, 0, 0), rotation: NDArray[np.float64] | None = None
+        self, position: Triple = (0, 0, 0), rotation: NDArray[np.float64] | None = None
     ) -> "Mesh":
         """The mesh turned by a 3x3 rotation and then moved."""
         turn = np.eye(3) if rotation is None else rotation
@@ -102,7 +104,7 @@ def _measured(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(u, v), -1)
 
 
-def quad(origin: Sequence[float], right: Sequence[float], up: Sequence[float]) -> Mesh:
+def quad(origin: Triple, right: Triple, up: Triple) -> Mesh:
     """A flat parallelogram; its normal is right x up."""
     corner, u, v = (np.asarray(x, np.float64) for x in (origin, right, up))
     normal = np.cross(u, v)
@@ -115,7 +117,7 @@ def quad(origin: Sequence[float], right: Sequence[float], up: Sequence[float]) -
     return Mesh(points[index], normals, uv[index])
 
 
-def box(size: Sequence[float], centre: Sequence[float] = (0, 0, 0)) -> Mesh:
+def box(size: Triple, centre: Triple = (0, 0, 0)) -> Mesh:
     """Axis-aligned box of a full size (x, y, z) about a centre."""
     half = np.asarray(size, np.float64) / 2
     faces = []
@@ -164,7 +166,7 @@ def cylinder(
 
 
 def blob(
-    radii: Sequence[float],
+    radii: Triple,
     swell: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
     rings: int = 14,
     power: float = 1.0,

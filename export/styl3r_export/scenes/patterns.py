@@ -15,7 +15,7 @@ Picture = NDArray[np.float32]
 
 def colour(rng: np.random.Generator, vivid: float | None = None) -> NDArray[np.float32]:
     """A random sRGB colour; most are muted, as things in rooms and streets are."""
-    vivid = float(rng.beta(1.2, 2.2)) if vivid is None else vivid
+    vivid = float(rng.beta(1.1, 3.2)) if vivid is None else vivid
     value = rng.uniform(0.12, 0.95)
     hue = rng.uniform(0, 6)
     wheel = np.clip(np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6 - 3) - 1, 0, 1)

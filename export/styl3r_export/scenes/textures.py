@@ -80,7 +80,7 @@ def _recoloured(rng: np.random.Generator, picture: NDArray[np.uint8]) -> NDArray
     x = grey + (x - grey) * float(rng.uniform(0.3, 1.4))
     mean = x.mean((0, 1))
     x = mean + (x - mean) * float(rng.uniform(0.5, 1.2))
-    strength = 0.35 if rng.random() < 0.25 else 0.08
+    strength = 0.3 if rng.random() < 0.12 else 0.08
     x = x * np.exp(rng.normal(0, strength, 3)).astype(np.float32) * float(rng.uniform(0.75, 1.3))
     return np.clip(x, 0, 255).astype(np.uint8)
 

@@ -1,0 +1,70 @@
+"""From linear light to the picture a phone would store, and what varies from shot to shot."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Settings of one photograph. The defaults are a clean camera."""
+
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    blur: float = 0.0
+    vignette: float = 0.0
+    noise: float = 0.0
+    jpeg: int = 0
+
+
+def exposure(linear: NDArray[np.float32], rng: np.random.Generator) -> float:
+    """A factor that brings a linear picture to a usual brightness, as a camera's metering does."""
+    bright = np.minimum(linear, 4.0).mean(-1)
+    level = float(np.exp(np.log(bright + 0.02).mean()))
+    return float(rng.uniform(0.14, 0.3)) / level
+
+
+def draw_shots(rng: np.random.Generator, views: int) -> list[Shot]:
+    """Per-view variation: mostly slight, as automatic exposure and white balance drift."""
+    drift = float(rng.choice([0.0, 0.03, 0.10], p=[0.2, 0.6, 0.2]))
+    cast = float(rng.choice([0.0, 0.01, 0.04], p=[0.3, 0.5, 0.2]))
+    base = np.exp(rng.normal(0, 0.06, 3))
+    blur, vignette = float(rng.choice([0.0, 0.35, 0.7])), float(rng.uniform(0, 0.25))
+    noise, jpeg = float(rng.choice([0.0, 0.008, 0.025])), int(rng.choice([0, 92, 75]))
+    shots = []
+    for _ in range(views):
+        gain = base * np.exp(rng.normal(0, drift) + rng.normal(0, cast, 3))
+        shots.append(Shot(tuple(gain.tolist()), blur, vignette, noise, jpeg))
+    return shots
+
+
+def tone(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """SRGB in [0, 1] from linear light with a soft shoulder instead of hard clipping."""
+    x = 1.0 - np.exp(-1.25 * np.maximum(linear, 0.0))
+    return np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
+
+
+def develop(
+    linear: NDArray[np.float32], shot: Shot, rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """One exposed linear picture (H, W, 3) to sRGB (H, W, 3) in [0, 1]."""
+    image = linear * np.asarray(shot.gain, np.float32)
+    height, width = image.shape[:2]
+    if shot.blur > 0:
+        image = cv2.GaussianBlur(image, (0, 0), shot.blur * min(height, width) / 256)
+    if shot.vignette > 0:
+        y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+        r2 = ((x / width - 0.5) ** 2 + (y / height - 0.5) ** 2) * 2
+        image = image * (1 - shot.vignette * r2[..., None] ** 1.5)
+    image = tone(image)
+    if shot.noise > 0:
+        grain = rng.standard_normal(image.shape, dtype=np.float32) * shot.noise
+        image = image + grain * (0.4 + 0.6 * (1 - image))
+    image = np.clip(image, 0, 1).astype(np.float32)
+    if shot.jpeg:
+        codes = (image[..., ::-1] * 255 + 0.5).astype(np.uint8)
+        _, data = cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, shot.jpeg])
+        decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+        image = decoded.astype(np.float32) / 255
+    return image

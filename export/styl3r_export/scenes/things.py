@@ -1,0 +1,180 @@
+"""Small things: pots, bottles, cups, fruit, books, balls, figures, plants, lumps."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_export.scenes.builder import SceneBuilder
+from styl3r_export.scenes.meshes import (
+    Mesh,
+    blob,
+    box,
+    cylinder,
+    lathe,
+    merged,
+    random_turn,
+    spin,
+    surface,
+    torus,
+    tube,
+)
+
+Vector = NDArray[np.float64]
+
+
+def lump(rng: np.random.Generator, radii: Vector, roughness: float, rings: int = 16) -> Mesh:
+    """A pebble, bush or carved-looking form: an ellipsoid swollen by a few random waves."""
+    count = int(rng.integers(4, 14))
+    waves = rng.normal(size=(count, 3)) * rng.uniform(1.0, 5.0, (count, 1))
+    phases = rng.uniform(0, 2 * np.pi, count)
+    heights = roughness * rng.uniform(0.3, 1.0, count) / np.sqrt(count)
+
+    def swell(unit: Vector) -> Vector:
+        return np.maximum(1 + (np.sin(unit @ waves.T + phases) * heights).sum(-1), 0.3)
+
+    return blob(radii, swell, rings)
+
+
+def vessel(rng: np.random.Generator, radius: float, height: float) -> Mesh:
+    """A vase, bowl, bottle or lamp foot: a smooth random profile turned about z."""
+    knots = rng.uniform(0.35, 1.0, int(rng.integers(3, 7)))
+    if rng.random() < 0.3:  # a bottle's neck
+        knots[-2:] = rng.uniform(0.2, 0.35)
+    t = np.linspace(0, 1, 15)
+    r = np.interp(t, np.linspace(0, 1, len(knots)), knots)
+    r = np.convolve(np.pad(r, 1, mode="edge"), [0.25, 0.5, 0.25], "valid")
+    outer = np.stack([radius * r, height * t], 1)
+    inner = np.stack([0.85 * radius * r[::-1], height * t[::-1]], 1)[:8]
+    return lathe(np.concatenate([[[0.0, 0.0]], outer, inner]), int(rng.choice([6, 20, 24, 28])))
+
+
+def figure(rng: np.random.Generator, height: float) -> Mesh:
+    """A statue-like stack of lumps with limbs."""
+    parts, z = [], 0.0
+    while z < height:
+        r = height * rng.uniform(0.10, 0.22)
+        tall = r * rng.uniform(0.8, 1.8)
+        shift = [*rng.normal(0, 0.03 * height, 2), z + tall * 0.7]
+        size = np.array([r, r * rng.uniform(0.6, 1.0), tall])
+        parts.append(
+            lump(rng, size, rng.uniform(0.0, 0.4), 12).placed(shift, spin(rng.uniform(0, 6)))
+        )
+        z += tall * 1.3
+    for _ in range(int(rng.integers(0, 5))):
+        start = np.array([0, 0, rng.uniform(0.2, 0.9) * height])
+        bend = np.cumsum(rng.normal(0, 0.12 * height, (5, 3)), 0)
+        parts.append(tube(start + bend, height * np.linspace(0.06, 0.03, 5), 8))
+    return merged(parts)
+
+
+def bolt(rng: np.random.Generator, size: float) -> Mesh:
+    """A machine-like toy: boxes, discs and rods along its axes."""
+    parts = []
+    for _ in range(int(rng.integers(5, 14))):
+        at = rng.uniform(-0.5, 0.5, 3) * size * np.array([1, 0.6, 0.6]) + [0, 0, size * 0.4]
+        kind, axis = rng.random(), int(rng.integers(0, 3))
+        if kind < 0.5:
+            mesh = box(size * rng.uniform(0.08, 0.6, 3))
+        elif kind < 0.75:
+            mesh = cylinder(size * rng.uniform(0.05, 0.25), size * rng.uniform(0.05, 0.4), sides=14)
+        else:
+            mesh = torus(size * rng.uniform(0.1, 0.25), size * rng.uniform(0.02, 0.07), 16)
+        parts.append(mesh.placed(at, spin(np.pi / 2, axis)))
+    return merged(parts)
+
+
+def book(rng: np.random.Generator, size: float) -> Mesh:
+    """A book, box or brick lying flat."""
+    x, y = size * rng.uniform(0.5, 1.0, 2)
+    return box((x, y, z := size * rng.uniform(0.08, 0.9)), (0, 0, z / 2))
+
+
+def leafage(rng: np.random.Generator, height: float, count: int = 24) -> Mesh:
+    """Arching leaves from one foot: a fern, grass tuft or pot plant."""
+    parts = []
+    wide, droop = height * rng.uniform(0.02, 0.12), rng.uniform(0.2, 1.6)
+    stem = rng.uniform(0.0, 0.5) if rng.random() < 0.5 else 0.0
+    t = np.linspace(0, 1, 6)
+    for k in range(count):
+        turn, rise = 2.4 * k + rng.normal(0, 0.2), rng.uniform(0.2, 1.3)
+        length = height * rng.uniform(0.4, 1.0)
+        bend = rise - droop * t
+        out = np.cumsum(np.cos(bend)) * length / 6
+        up = np.cumsum(np.sin(bend)) * length / 6 + stem * height * rng.uniform(0, 1)
+        half = wide * np.sin(np.pi * np.clip(t * 0.92 + 0.06, 0, 1)) * rng.uniform(0.7, 1.3)
+        middle = np.stack([out, 0 * t, up], 1)
+        side = np.stack([0 * t, half, 0.3 * half], 1)
+        sheet = np.stack(
+            [middle - side, middle - [0, 0, 1] * half[:, None] * 0.3, middle + side], 1
+        )
+        parts.append(surface(sheet).placed((0, 0, 0), spin(turn)))
+    if stem:
+        line = np.array([[0, 0, 0], [0.01, 0, stem / 2], [0, 0.01, stem]]) * height
+        parts.append(tube(line, 0.03 * height, 6))
+    return merged(parts)
+
+
+def wire(rng: np.random.Generator, size: float) -> Mesh:
+    """A thin bent rod, cable or twig."""
+    steps = rng.normal(0, 1, (9, 3)) * size / 4
+    path = np.cumsum(steps + rng.normal(0, size / 12, 3), 0)
+    path[:, 2] = np.abs(path[:, 2]) * 0.6
+    fine = np.stack(
+        [np.interp(np.linspace(0, 8, 25), np.arange(9), path[:, k]) for k in range(3)], 1
+    )
+    fine = (fine + np.roll(fine, 1, 0) + np.roll(fine, -1, 0))[1:-1] / 3
+    return tube(fine, size * rng.uniform(0.008, 0.05), 7)
+
+
+def chest(rng: np.random.Generator, size: float) -> Mesh:
+    """A squarish body with rounded edges: cushions, radios, bread."""
+    radii = size * rng.uniform(0.2, 0.5, 3)
+    return blob(radii, None, 16, rng.uniform(0.25, 0.8)).placed((0, 0, radii[2]))
+
+
+def ball(rng: np.random.Generator, size: float) -> Mesh:
+    """A ball, egg or fruit standing on the ground."""
+    radii = size * np.array([0.5, 0.5, 0.5]) * rng.uniform(0.6, 1.0)
+    radii = radii * rng.uniform(0.7, 1.2, 3) if rng.random() < 0.5 else radii
+    return blob(radii, None, 18).placed((0, 0, radii[2]))
+
+
+def pile(rng: np.random.Generator, size: float) -> Mesh:
+    """A tilted heap of one shape repeated."""
+    parts = []
+    for _ in range(int(rng.integers(4, 12))):
+        at = np.array([*rng.normal(0, 0.3, 2), rng.uniform(0, 0.5)]) * size
+        shape = box(size * rng.uniform(0.1, 0.4, 3))
+        if rng.random() < 0.4:
+            shape = lump(rng, size * rng.uniform(0.1, 0.25, 3), 0.3, 10)
+        parts.append(shape.placed(at, random_turn(rng)))
+    return merged(parts)
+
+
+#: Maker of a thing of a given size standing on z = 0, and how often it is chosen.
+THINGS: list[tuple[Callable[[np.random.Generator, float], Mesh], float]] = [
+    (book, 3),
+    (lambda rng, s: vessel(rng, s * rng.uniform(0.15, 0.45), s), 3),
+    (ball, 2),
+    (lambda rng, s: lump(rng, s * rng.uniform(0.25, 0.5, 3), rng.uniform(0.1, 0.6), 20).placed((0, 0, 0.3 * s)), 3),
+    (figure, 2.5),
+    (bolt, 2),
+    (chest, 1.5),
+    (lambda rng, s: leafage(rng, s, int(rng.integers(8, 36))), 2),
+    (lambda rng, s: cylinder(s * rng.uniform(0.1, 0.4), s * rng.uniform(0.2, 1.0)), 1),
+    (lambda rng, s: cylinder(s * rng.uniform(0.2, 0.4), s * rng.uniform(0.4, 1.0), 0.0), 0.7),
+    (lambda rng, s: torus(0.38 * s, s * rng.uniform(0.04, 0.16)).placed((0, 0, 0.1 * s)), 0.7),
+    (wire, 1),
+    (pile, 1.2),
+]  # fmt: skip
+
+
+def add_thing(builder: SceneBuilder, position: Vector, size: float) -> None:
+    """Stand a random thing of a size somewhere, turned at random."""
+    rng = builder.rng
+    weights = np.array([w for _, w in THINGS])
+    make = THINGS[int(rng.choice(len(THINGS), p=weights / weights.sum()))][0]
+    mesh = make(rng, size).placed(position, spin(rng.uniform(0, 2 * np.pi)))
+    material = builder.material(size, triplanar=bool(rng.random() < 0.5))
+    builder.add(mesh, material)
