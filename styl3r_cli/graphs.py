@@ -1,0 +1,129 @@
+"""A model: a folder with two ONNX graphs, found by name, verified and loaded."""
+
+from __future__ import annotations
+
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from styl3r_cli import manifest as manifests
+from styl3r_cli.errors import ModelError
+from styl3r_cli.manifest import Manifest
+from styl3r_cli.sessions import Graph
+
+BUNDLED = Path(__file__).parent / "models"  # each folder in it is a model of that name
+
+# Names and ranks, all float32 (batch-free: N views, S styles).
+STRUCTURE_INPUTS = {"images": 4, "intrinsics": 3}
+STRUCTURE_OUTPUTS = {
+    "means": 4,
+    "scales": 4,
+    "rotations": 4,
+    "opacities": 3,
+    "content_tokens": 3,
+}
+APPEARANCE_INPUTS = {"content_tokens": 3, "style_images": 4, "style_weights": 1}
+APPEARANCE_OPTIONAL = {"images": 4}  # fed to the models whose colour head declares it
+APPEARANCE_OUTPUTS = {"colours": 4}
+
+
+@dataclass(frozen=True)
+class Model:
+    """Both graphs of a model, and how it reads its pictures.
+
+    Attributes:
+        name: "mini", "full", ...
+        folder: where it lies.
+        structure: images, intrinsics to geometry and content tokens.
+        appearance: content tokens and styles to colours.
+        style_range: lowest and highest value of a painting, as the style encoder reads it.
+        content_range: the same for a content photo standing in for a painting.
+        input_size: (height, width) that it was trained at.
+        device: "cpu" or "cuda", where it runs.
+    """
+
+    name: str
+    folder: Path
+    structure: Graph
+    appearance: Graph
+    style_range: tuple[float, float]
+    content_range: tuple[float, float]
+    input_size: tuple[int, int]
+    device: str
+
+    @classmethod
+    def load(cls, model: str = "mini", device: str = "auto", threads: int | None = None) -> Model:
+        """Verify and load both graphs, at the same time.
+
+        Args:
+            model: the name of a bundled model, or a folder that `styl3r export` wrote.
+            device: one of DEVICES.
+            threads: for each graph's run; None for every core this process may use.
+
+        Raises:
+            ModelError: a file is missing, damaged, or not such a graph.
+            UsageError: the device or the name does not exist here.
+        """
+        folder = find(model)
+        manifest = manifests.read_manifest(folder)
+
+        def load(name: str) -> Graph:
+            return _verified(folder, name, manifest, device, threads)
+
+        with ThreadPoolExecutor(2) as pool:
+            structure, appearance = pool.map(load, (manifests.STRUCTURE, manifests.APPEARANCE))
+        structure.check(STRUCTURE_INPUTS, {}, STRUCTURE_OUTPUTS)
+        appearance.check(APPEARANCE_INPUTS, APPEARANCE_OPTIONAL, APPEARANCE_OUTPUTS)
+        height, width = _pair(structure, manifests.PROP_INPUT_SIZE, (256, 256))
+        return cls(
+            name=manifest.model,
+            folder=folder,
+            structure=structure,
+            appearance=appearance,
+            style_range=_pair(appearance, manifests.PROP_PAINTING_RANGE, (0.0, 1.0)),
+            content_range=_pair(appearance, manifests.PROP_PHOTO_RANGE, (-1.0, 1.0)),
+            input_size=(int(height), int(width)),
+            device=structure.device,
+        )
+
+
+def find(model: str) -> Path:
+    """The folder of a bundled model's name, or the folder itself.
+
+    Raises:
+        ModelError: there is neither.
+    """
+    bundled = BUNDLED / model
+    if os.sep not in model and (bundled / manifests.MANIFEST).is_file():
+        return bundled
+    folder = Path(model).expanduser()
+    if not folder.is_dir():
+        names = sorted(path.parent.name for path in BUNDLED.glob(f"*/{manifests.MANIFEST}"))
+        known = ", ".join(names) or "none"
+        raise ModelError(f"no model '{model}': neither bundled ({known}) nor a folder")
+    return folder
+
+
+def _verified(
+    folder: Path, name: str, manifest: Manifest, device: str, threads: int | None
+) -> Graph:
+    for file in manifests.files_of(name, manifest):
+        manifests.check_file(folder, file, manifest)
+    graph = Graph.load(folder / name, device, threads)
+    if graph.metadata.get(manifests.PROP_WEIGHTS_ID) != manifest.weights_id:
+        raise ModelError(f"{graph.path}: does not belong to this manifest; export the model again")
+    return graph
+
+
+def _pair(graph: Graph, key: str, default: tuple[float, float]) -> tuple[float, float]:
+    """Two numbers from a graph's metadata."""
+    text = graph.metadata.get(key)
+    if text is None:
+        return default
+    try:
+        first, second = json.loads(text)
+        return float(first), float(second)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{graph.path}: metadata {key} is '{text}', not two numbers") from error

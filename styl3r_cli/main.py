@@ -1,0 +1,137 @@
+"""The `styl3r` command: finds the subcommand, and turns every failure into one line and a code."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+import click
+
+from styl3r_cli import __version__, console
+from styl3r_cli.errors import ExitCode, Styl3rError
+
+# Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
+# so that the list of commands needs none of their libraries.
+COMMANDS = {
+    "stylize": ("stylize", "Photos and a style picture become a stylized 3D scene."),
+    "reconstruct": ("reconstruct", "Photos become a 3D scene in their own colours."),
+    "render": ("render", "A scene becomes a video or a folder of pictures."),
+    "export": ("export", "A checkpoint becomes a model folder (needs the extra 'export')."),
+}
+DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
+BROKEN_PIPE = 128 + 13  # how shells report a program that SIGPIPE ended
+TERMINATED = 128 + 15
+EPILOG = """\b
+Exit codes:
+  0  done                      4  the model is missing or damaged
+  1  a bug in styl3r           5  a batch went through, but not all of it
+  2  wrong command line        6  a result cannot be written
+  3  an input cannot be used   130  interrupted (Ctrl-C)
+
+Results go to the files that you name, or to standard output with '-'; notes and progress go to
+standard error. STYL3R_DEBUG=1 shows the traceback of a bug; NO_COLOR=1 turns colours off."""
+
+
+class LazyGroup(click.Group):
+    """A group that knows its commands' names and imports a command when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names, in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one command; None if there is none of that name."""
+        if cmd_name not in COMMANDS:
+            return None
+        return import_module(f"styl3r_cli.commands.{COMMANDS[cmd_name][0]}").command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does, with an error that says what there is."""
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            known = ", ".join(COMMANDS)
+            raise click.UsageError(f"there is no command '{args[0]}'; there are {known}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The table, without importing anything."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.command(
+    cls=LazyGroup,
+    epilog=EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(__version__, message="%(prog)s %(version)s")
+def group() -> None:
+    r"""2 to 8 photos of a place and one painting become a stylized 3D scene, on any CPU.
+
+    \b
+      styl3r stylize photos/ --style art.jpg -o scene.ply --video scene.mp4
+
+    `styl3r COMMAND --help` explains a command.
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and exit (the console script's entry point)."""
+    signal.signal(signal.SIGTERM, _terminate)
+    sys.exit(run(arguments))
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line and return the exit code; failures are told on stderr."""
+    try:
+        result = group.main(
+            args=None if arguments is None else list(arguments),
+            prog_name=console.PROGRAM,
+            standalone_mode=False,
+        )
+        sys.stdout.flush()
+    except Styl3rError as error:
+        if isinstance(error.__cause__, BrokenPipeError):
+            return BROKEN_PIPE
+        return _fail(str(error), error.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return ExitCode.USAGE
+    except click.ClickException as error:
+        return _fail(_usage_message(error), ExitCode.USAGE)
+    except (KeyboardInterrupt, click.Abort):
+        return ExitCode.INTERRUPTED
+    except BrokenPipeError:
+        sys.stdout = None  # type: ignore[assignment]  # or the interpreter complains at exit
+        return BROKEN_PIPE
+    except MemoryError:
+        return _fail("out of memory; try fewer or smaller photos", ExitCode.INTERNAL)
+    except Exception as error:  # whatever it is, a user sees one line
+        if os.environ.get(DEBUG) == "1":
+            raise
+        what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        return _fail(f"a bug: {what} ({DEBUG}=1 shows where; please report it)", ExitCode.INTERNAL)
+    return result if isinstance(result, int) else ExitCode.SUCCESS
+
+
+def _usage_message(error: click.ClickException) -> str:
+    """Click's message in one line, with the way to the right help."""
+    message = error.format_message().strip().rstrip(".")
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context else console.PROGRAM
+    return f"{message} (see {path} --help)"
+
+
+def _fail(message: str, code: ExitCode) -> int:
+    console.error(message)
+    return code
+
+
+def _terminate(_signal: int, _frame: object) -> NoReturn:
+    """Unwind instead of dying, so that temporary files are removed."""
+    sys.exit(TERMINATED)

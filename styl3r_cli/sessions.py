@@ -1,0 +1,157 @@
+"""One ONNX graph in onnxruntime: its session, its signature, and a run that Ctrl-C can stop."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from styl3r_cli.errors import ModelError, UsageError
+from styl3r_cli.gaussians import FloatArray
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession, NodeArg
+
+DEVICES = ("auto", "cpu", "cuda")
+CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
+SILENT = 4  # onnxruntime's severity "fatal": its other complaints are raised as errors anyway
+# After each run the memory that it used goes back, or the two graphs' peaks would add up: 325
+# instead of 433 MB for two views (mini), at no measurable cost in time.
+SHRINK = ("memory.enable_memory_arena_shrinkage", "cpu:0")
+
+
+class Graph:
+    """One graph with a known signature; call it with named arrays, get named arrays."""
+
+    def __init__(self, path: Path, session: InferenceSession) -> None:
+        self.path = path
+        self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
+        self.device = "cuda" if session.get_providers()[0] == CUDA else "cpu"
+        self._session = session
+        self._inputs = {i.name: i for i in session.get_inputs()}
+        self._outputs = {o.name: o for o in session.get_outputs()}
+
+    @classmethod
+    def load(cls, path: Path, device: str = "auto", threads: int | None = None) -> Graph:
+        """Open a graph file; the weights beside it too, if they are in a file of their own.
+
+        Args:
+            path: the .onnx file.
+            device: one of DEVICES.
+            threads: for its runs; None for every core this process may use.
+
+        Raises:
+            ModelError: onnxruntime cannot load it (weights outside its folder, among others).
+            UsageError: the device does not exist here.
+        """
+        import onnxruntime as ort
+
+        ort.set_default_logger_severity(SILENT)
+        options = ort.SessionOptions()
+        options.log_severity_level = SILENT
+        options.intra_op_num_threads = threads or available_cores()
+        options.inter_op_num_threads = 1
+        try:
+            graph = cls(path, ort.InferenceSession(path, options, providers=providers(device)))
+        except UsageError:
+            raise
+        except Exception as error:  # onnxruntime's exceptions have no common base
+            raise ModelError(f"{path}: cannot be loaded: {_first_line(error)}") from error
+        if device == "cuda" and graph.device != "cuda":
+            raise UsageError("--device cuda: onnxruntime found no working GPU, driver or library")
+        return graph
+
+    def check(
+        self, inputs: Mapping[str, int], optional: Mapping[str, int], outputs: Mapping[str, int]
+    ) -> None:
+        """Compare names, ranks and types with what the pipeline will feed and read.
+
+        Raises:
+            ModelError: naming the first difference.
+        """
+        self._check_side("input", self._inputs, inputs, {**inputs, **optional})
+        self._check_side("output", self._outputs, outputs, outputs)
+
+    def _check_side(
+        self,
+        side: str,
+        given: Mapping[str, NodeArg],
+        required: Mapping[str, int],
+        allowed: Mapping[str, int],
+    ) -> None:
+        for name in required:
+            if name not in given:
+                raise ModelError(f"{self.path}: the graph has no {side} '{name}'")
+        for name, argument in given.items():
+            if name not in allowed:
+                raise ModelError(f"{self.path}: the graph has an unknown {side} '{name}'")
+            if argument.type != "tensor(float)" or len(argument.shape) != allowed[name]:
+                raise ModelError(
+                    f"{self.path}: {side} '{name}' is a {argument.type} of rank "
+                    f"{len(argument.shape)}, expected a tensor(float) of rank {allowed[name]}"
+                )
+
+    def __call__(self, feeds: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Run the graph, in a thread so that Ctrl-C reaches it.
+
+        Args:
+            feeds: arrays by name; those that the graph does not declare are left out.
+
+        Raises:
+            ModelError: onnxruntime refused or failed.
+        """
+        from onnxruntime import RunOptions
+
+        options = RunOptions()
+        options.add_run_config_entry(*SHRINK)
+        names = list(self._outputs)
+        declared = {
+            name: np.ascontiguousarray(array, np.float32)
+            for name, array in feeds.items()
+            if name in self._inputs
+        }
+        with ThreadPoolExecutor(1) as pool:
+            running = pool.submit(self._session.run, names, declared, options)
+            try:
+                values = running.result()
+            except Exception as error:
+                raise ModelError(f"{self.path}: the graph failed: {_first_line(error)}") from error
+            except BaseException:
+                options.terminate = True
+                raise
+        return dict(zip(names, values, strict=True))
+
+
+def providers(device: str) -> list[str]:
+    """Onnxruntime's execution providers for a device, in order of preference."""
+    if device not in DEVICES:
+        raise UsageError(f"--device {device}: one of {', '.join(DEVICES)}")
+    if device == "cpu":
+        return [CPU]
+    import onnxruntime as ort
+
+    if CUDA in ort.get_available_providers():
+        return [CUDA, CPU]
+    if device == "cuda":
+        raise UsageError(
+            "--device cuda: the installed onnxruntime runs on CPUs only; "
+            "replace it: pip uninstall onnxruntime, then pip install onnxruntime-gpu"
+        )
+    return [CPU]
+
+
+def available_cores() -> int:
+    """Cores that this process may run on (containers and taskset allow fewer than there are)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _first_line(error: Exception) -> str:
+    """Onnxruntime's message without its code and the lines about its sources."""
+    text = str(error).strip() or type(error).__name__
+    return text.splitlines()[0].split(" : ", 3)[-1]

@@ -1,0 +1,158 @@
+"""Models: found, verified, refused with one line that says why, and run."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tiny_model import APPEARANCE_GRAPH, STRUCTURE_GRAPH, parse_graph, write_manifest, write_model
+
+from styl3r_cli import manifest as manifests
+from styl3r_cli.errors import ModelError, UsageError
+from styl3r_cli.graphs import Model
+from styl3r_cli.sessions import Graph, available_cores
+
+onnx = pytest.importorskip("onnx")
+
+
+@pytest.fixture
+def folder(tiny_model: Path, tmp_path: Path) -> Path:
+    """A copy of the tiny model that a test may damage."""
+    return Path(shutil.copytree(tiny_model, tmp_path / "model"))
+
+
+def test_metadata_tells_how_pictures_are_read(tiny_model: Path) -> None:
+    model = Model.load(str(tiny_model), "cpu", threads=1)
+    assert (model.name, model.device) == ("tiny", "cpu")
+    assert model.style_range == (0.0, 1.0)
+    assert model.content_range == (-1.0, 1.0)
+    assert model.input_size == (64, 64)
+
+
+def test_ranges_follow_the_graph(tmp_path: Path) -> None:
+    folder = write_model(tmp_path / "m")
+    path = folder / manifests.APPEARANCE
+    proto = onnx.load(path)
+    for prop in proto.metadata_props:
+        if prop.key == manifests.PROP_PHOTO_RANGE:
+            prop.value = "[0, 1]"
+    path.write_bytes(proto.SerializeToString())
+    write_manifest(folder)
+    assert Model.load(str(folder), "cpu").content_range == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("file", [manifests.STRUCTURE, manifests.APPEARANCE])
+def test_one_flipped_bit_is_found(folder: Path, file: str) -> None:
+    data = bytearray((folder / file).read_bytes())
+    data[len(data) // 2] ^= 1
+    (folder / file).write_bytes(data)
+    with pytest.raises(ModelError, match=rf"{file}: damaged \(checksum differs\)"):
+        Model.load(str(folder), "cpu")
+
+
+def test_garbage_with_a_fitting_checksum_is_no_model(folder: Path) -> None:
+    (folder / manifests.STRUCTURE).write_bytes(b"not a graph")
+    write_manifest(folder)
+    with pytest.raises(ModelError, match=r"structure\.onnx: cannot be loaded: ") as caught:
+        Model.load(str(folder), "cpu")
+    assert "\n" not in str(caught.value)
+
+
+def test_graphs_of_two_models_do_not_mix(folder: Path) -> None:
+    other = parse_graph(APPEARANCE_GRAPH, **{manifests.PROP_WEIGHTS_ID: "another"})
+    (folder / manifests.APPEARANCE).write_bytes(other.SerializeToString())
+    write_manifest(folder)
+    with pytest.raises(ModelError, match="does not belong to this manifest"):
+        Model.load(str(folder), "cpu")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"intrinsics": "matrices"}, "has no input 'intrinsics'"),
+        ({"opacities": "alphas"}, "has no output 'opacities'"),
+        ({"[N,3,H,W] images": "[N,3,H,W] images, float[N] times"}, "unknown input 'times'"),
+        (
+            {
+                "float[N,H,W] opacities": "float[H] opacities",
+                "opacities = Expand (solid, size)": "opacities = Expand (solid, height)",
+            },
+            r"output 'opacities' is a tensor\(float\) of rank 1, expected .* rank 3",
+        ),
+    ],
+)
+def test_other_signatures_are_named(tmp_path: Path, changes: dict, message: str) -> None:
+    text = STRUCTURE_GRAPH
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    with pytest.raises(ModelError, match=message):
+        Model.load(str(write_model(tmp_path / "m", structure=text)), "cpu")
+
+
+def test_half_precision_edges_are_refused(tmp_path: Path) -> None:
+    text = STRUCTURE_GRAPH.replace("float[N,L,3] content_tokens", "float16[N,L,3] content_tokens")
+    text = text.replace(
+        "content_tokens = Transpose <perm = [0, 2, 1]> (flat)",
+        "wide = Transpose <perm = [0, 2, 1]> (flat) content_tokens = Cast <to = 10> (wide)",
+    )
+    with pytest.raises(ModelError, match=r"'content_tokens' is a tensor\(float16\)"):
+        Model.load(str(write_model(tmp_path / "m", structure=text)), "cpu")
+
+
+def test_weights_outside_the_folder_are_refused(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(np.zeros(1, np.float32).tobytes())
+    path = folder / manifests.STRUCTURE
+    proto = onnx.load(path)
+    constant = next(node for node in proto.graph.node if node.output[0] == "solid")
+    proto.graph.node.remove(constant)
+    weight = proto.graph.initializer.add(name="solid", dims=[1], data_type=1)
+    weight.data_location = onnx.TensorProto.EXTERNAL
+    weight.external_data.add(key="location", value="../secret")
+    path.write_bytes(proto.SerializeToString())
+    write_manifest(folder)
+    with pytest.raises(ModelError, match="External data path"):
+        Model.load(str(folder), "cpu")
+
+
+def test_missing_things_are_named(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"no model 'maxi': neither bundled .* nor a folder"):
+        Model.load("maxi")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ModelError, match=r"no manifest\.json"):
+        Model.load(str(tmp_path / "empty"))
+    (folder / manifests.APPEARANCE).unlink()
+    with pytest.raises(ModelError, match=r"appearance\.onnx: missing"):
+        Model.load(str(folder), "cpu")
+
+
+def test_newer_manifests_are_refused(folder: Path) -> None:
+    path = folder / manifests.MANIFEST
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"format_version": 99}))
+    with pytest.raises(ModelError, match="format version 99"):
+        Model.load(str(folder))
+
+
+def test_devices(tiny_model: Path) -> None:
+    import onnxruntime
+
+    with pytest.raises(UsageError, match="--device tpu"):
+        Model.load(str(tiny_model), "tpu")
+    if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
+        pytest.skip("this onnxruntime has CUDA")
+    assert Model.load(str(tiny_model), "auto").device == "cpu"
+    with pytest.raises(UsageError, match="onnxruntime-gpu"):
+        Model.load(str(tiny_model), "cuda")
+
+
+def test_impossible_input_is_one_line(tiny_model: Path) -> None:
+    graph = Graph.load(tiny_model / manifests.STRUCTURE, "cpu")
+    with pytest.raises(ModelError, match="the graph failed") as caught:
+        graph({"images": np.zeros((2, 5, 32, 32)), "intrinsics": np.zeros((2, 3, 3))})
+    assert "\n" not in str(caught.value)
+
+
+def test_cores_are_those_this_process_may_use() -> None:
+    assert available_cores() >= 1
