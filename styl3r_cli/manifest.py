@@ -112,14 +112,15 @@ def _parse(path: Path, values: dict[str, Any]) -> Manifest:
             str(name): FileEntry(int(entry["bytes"]), str(entry["sha256"]))
             for name, entry in values["files"].items()
         }
-        text = [str(values[k]) for k in ("model", "model_version", "weights_id", "precision")]
+        model, trained = str(values["model"]), str(values["model_version"])
+        identity, precision = str(values["weights_id"]), str(values["precision"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         message = f"{path}: a field is missing or of the wrong kind ({error}); export again"
         raise ModelError(message) from error
     missing = {STRUCTURE, APPEARANCE} - files.keys()
     if missing or any(Path(name).name != name for name in files):
         raise ModelError(f"{path}: does not list the two graphs; export the model again")
-    return Manifest(*text, files=files)
+    return Manifest(model, trained, identity, precision, files)
 
 
 def check_file(folder: Path, name: str, manifest: Manifest) -> None:
