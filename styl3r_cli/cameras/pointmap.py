@@ -1,0 +1,102 @@
+"""What one point map says: how well a camera explains it, and the focal length it was seen with."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.camera import Camera
+
+# A point is an inlier within 1 % of the frame's longer side (2.6 pixels at 256): DUSt3R's 5 pixels
+# at 512, for the poses that it finds with PnP.
+INLIER_FRACTION = 0.01
+WEISZFELD_ROUNDS = 30  # converges to a thousandth of a pixel well before, outliers or not
+SMALLEST_RESIDUAL = (
+    1e-9  # at a focal length of 1; keeps the weights 1 / residual finite at an exact fit
+)
+FEWEST_POINTS = 12
+# Focal lengths in units of the longer side that a lens can have: 157 to 3 degrees.
+SHORTEST, LONGEST = 0.1, 20.0
+
+
+def pixel_centres(height: int, width: int) -> NDArray[np.float64]:
+    """(H, W, 2): x and y of the pixels' centres, the first at (0.5, 0.5)."""
+    y, x = np.mgrid[0:height, 0:width]
+    return np.stack([x + 0.5, y + 0.5], axis=-1)
+
+
+def reprojection_errors(
+    points: NDArray[np.floating], pixels: NDArray[np.float64], camera: Camera
+) -> NDArray[np.float64]:
+    """Distances in pixels between where points project and where they were seen.
+
+    Args:
+        points: (P, 3) world frame.
+        pixels: (P, 2).
+        camera: the view's.
+
+    Returns:
+        (P,), infinite for points behind the camera and points that are not finite.
+    """
+    rotation, translation = camera.extrinsics[:3, :3], camera.extrinsics[:3, 3]
+    with np.errstate(all="ignore"):
+        x, y, z = (points.astype(np.float64) @ rotation.T + translation).T
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        errors = np.hypot(u - pixels[:, 0], v - pixels[:, 1])
+        return np.where((z > 0) & np.isfinite(errors), errors, np.inf)
+
+
+def inlier_ratio(
+    points: NDArray[np.float32], opacities: NDArray[np.float32], camera: Camera
+) -> float:
+    """The opacity-weighted share of a view's points that land within 1 % of their own pixels.
+
+    Args:
+        points: (H, W, 3) world frame.
+        opacities: (H, W).
+        camera: the view's.
+    """
+    pixels = pixel_centres(camera.height, camera.width).reshape(-1, 2)
+    threshold = INLIER_FRACTION * max(camera.width, camera.height)
+    inliers = reprojection_errors(points.reshape(-1, 3), pixels, camera) < threshold
+    weights = np.nan_to_num(opacities.ravel().astype(np.float64), nan=0.0)
+    total = float(weights.sum())
+    return float(weights[inliers].sum()) / total if total > 0 else 0.0
+
+
+def estimate_focal(
+    points: NDArray[np.float32], opacities: NDArray[np.float32], camera: Camera
+) -> float | None:
+    """The focal length fx that best explains a point map in its own camera's frame.
+
+    Minimises the sum of | (pixel - principal point) / f - (X/Z, Y/Z) |, not squared, so that
+    outliers count little, by Weiszfeld's iteratively reweighted least squares. DUSt3R (arXiv
+    2312.14132, section 3.3) minimises f times these residuals; leaving the factor out keeps points
+    near the image plane, whose X/Z is huge, from pulling f towards 0.
+
+    Args:
+        points: (H, W, 3) in the frame of the camera that saw them.
+        opacities: (H, W) weights.
+        camera: gives the principal point and the ratio fy / fx.
+
+    Returns:
+        Pixels; None where too few points are in front of the camera or no lens would fit.
+    """
+    flat = points.reshape(-1, 3).astype(np.float64)
+    centre = np.array([camera.cx, camera.cy])
+    pixels = pixel_centres(camera.height, camera.width).reshape(-1, 2) - centre
+    usable = np.isfinite(flat).all(axis=1) & (flat[:, 2] > 0) & (opacities.ravel() > 0)
+    if usable.sum() < FEWEST_POINTS:
+        return None
+    weights = opacities.ravel()[usable].astype(np.float64)
+    rays, pixels = flat[usable, :2] / flat[usable, 2:], pixels[usable] * [1, camera.fx / camera.fy]
+    along, across = (rays * pixels).sum(axis=1), (pixels * pixels).sum(axis=1)
+    # The inverse focal length; the pixels' own answers' median is close enough to start from.
+    inverse = float(np.median(along[across > 0] / across[across > 0]))
+    for _ in range(WEISZFELD_ROUNDS):
+        residuals = np.linalg.norm(rays - inverse * pixels, axis=1)
+        robust = weights / np.maximum(residuals, SMALLEST_RESIDUAL)
+        inverse = float((robust * along).sum() / (robust * across).sum())
+    focal = 1 / inverse if inverse > 0 else 0.0
+    relative = focal / max(camera.width, camera.height)
+    return focal if SHORTEST <= relative <= LONGEST else None
