@@ -14,8 +14,9 @@ from styl3r_cli.cameras.pointmap import INLIER_FRACTION, pixel_centres, reprojec
 # Poor point maps, of which hardly any point is within 1 %, get a second search that allows 4 %.
 WIDE_FRACTION = 0.04
 # P3P with 60 % outliers needs 355 samples to be 99.99 % sure; the rest is for worse maps.
-SAMPLES, CONFIDENCE = 2000, 0.9999
-MOST_POINTS = 4096  # subsampled: beyond, the pose hardly gets better, only slower
+SAMPLES, CONFIDENCE = 1000, 0.9999
+MOST_POINTS = 8192  # for refinement: beyond, the pose hardly gets better, only slower
+STRIDE = 8  # every hypothesis is tested on all its points, so RANSAC gets every 8th
 FEWEST_POINTS = 12  # three times what one hypothesis needs; fewer agree by chance
 LEAST_AGREEMENT = 0.1  # a pose that a smaller share of the points supports is not believed
 GOOD_AGREEMENT = 0.3  # below, the wide threshold is tried
@@ -38,7 +39,7 @@ def find_pose(
         (4, 4) rigid, or None where no pose explains enough of the points.
     """
     chosen = _draw(points, opacities)
-    if len(chosen) < FEWEST_POINTS:
+    if len(chosen) < FEWEST_POINTS * STRIDE:
         return None
     world = points.reshape(-1, 3)[chosen].astype(np.float64)
     pixels = pixel_centres(camera.height, camera.width).reshape(-1, 2)[chosen]
@@ -84,8 +85,8 @@ def _search(
     no_distortion = np.zeros(4)
     try:
         found, rotation, translation, _ = cv2.solvePnPRansac(
-            points,
-            pixels,
+            points[::STRIDE],
+            pixels[::STRIDE],
             camera.intrinsics,
             no_distortion,
             iterationsCount=SAMPLES,

@@ -1,0 +1,233 @@
+"""Camera files: nerfstudio's transforms.json, in and out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.errors import InputError
+from styl3r_cli.files import atomic_write
+
+# nerfstudio's cameras look along -z with y up (OpenGL); ours along z with y down (OpenCV).
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+# Files with six digits are off by 1e-6; a scaled or sheared matrix by far more.
+RIGID_TOLERANCE = 1e-3
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # distortion apart
+WRITTEN_MODEL = "OPENCV"  # nerfstudio's name for a perspective camera
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """The frames of a transforms.json, in the file's order.
+
+    Attributes:
+        cameras: one per frame; the world is the file's own.
+        file_paths: as many paths as the file names them, empty where it names none.
+        notes: one line each on what was ignored.
+    """
+
+    cameras: list[Camera]
+    file_paths: list[str]
+    notes: list[str]
+
+
+def write_transforms(path: Path, cameras: Sequence[Camera], file_paths: Sequence[str]) -> None:
+    """Write cameras as nerfstudio's transforms.json.
+
+    The matrices are camera-to-world with OpenGL camera axes; the world stays the scene's own, so
+    that the file fits the scene beside it. Numbers are written with all their digits.
+
+    Args:
+        path: where to write.
+        cameras: one per frame.
+        file_paths: one per frame: the photo, or a name.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    frames = [_frame(*pair) for pair in zip(cameras, file_paths, strict=True)]
+    content = {"camera_model": WRITTEN_MODEL, "frames": frames}
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", "utf-8")
+
+
+def read_transforms(source: Path | bytes, size: tuple[int, int] | None = None) -> CameraFile:
+    """Read nerfstudio's (and Instant NGP's) transforms.json.
+
+    Intrinsics are a frame's own or the file's. Where `fl_x` is missing, `camera_angle_x` gives it;
+    missing `cx` and `cy` mean the centre.
+
+    Args:
+        source: the file, or its content.
+        size: (width, height) for files that do not say.
+
+    Raises:
+        InputError: the file is missing or no transforms.json, a matrix is not rigid, or a lens is
+            not a perspective one.
+    """
+    name, content = _load(source)
+    frames = content.get("frames")
+    if not isinstance(frames, list) or not frames:
+        hint = " (a nerfstudio camera path?)" if "camera_path" in content else ""
+        raise InputError(f"{name}: no 'frames'{hint}; expected nerfstudio's transforms.json")
+    cameras, file_paths, distorted = [], [], 0
+    for index, frame in enumerate(frames):
+        where = f"{name}: frame {index + 1}"
+        if not isinstance(frame, dict):
+            raise InputError(f"{where}: not an object")
+        values = {**content, **frame}
+        cameras.append(_camera(values, size, where))
+        file_paths.append(str(frame.get("file_path", "")))
+        distorted += any(_number(values, key, where) for key in DISTORTION)
+    notes = []
+    if distorted:
+        notes.append(f"{name}: lens distortion in {distorted} frames is ignored; undistort first")
+    return CameraFile(cameras, file_paths, notes)
+
+
+def cameras_of_photos(
+    file: CameraFile, photos: Sequence[Path], name: str = "the camera file"
+) -> tuple[dict[Path, Camera], list[str]]:
+    """The cameras that belong to the photos, matched by file name.
+
+    Where several frames have a photo's file name, the one that agrees with most of its path is
+    taken. Photos with no frame are left out and named in a note.
+
+    Returns:
+        Cameras by photo, and notes.
+
+    Raises:
+        InputError: no frame names any of the photos.
+    """
+    found: dict[Path, Camera] = {}
+    for photo in photos:
+        scores = [_common_end(photo, path) for path in file.file_paths]
+        best = max(range(len(scores)), key=scores.__getitem__)
+        if scores[best]:
+            found[photo] = file.cameras[best]
+    missing = [photo.name for photo in photos if photo not in found]
+    if not found:
+        raise InputError(f"{name}: no frame's file_path is one of the photos ({missing[0]}, ...)")
+    return found, [f"{name}: no camera for {', '.join(missing)}"] if missing else []
+
+
+def _common_end(photo: Path, file_path: str) -> int:
+    """How many trailing parts two paths share; some files leave the suffix out."""
+    ours, theirs = list(photo.parts), list(Path(file_path.replace("\\", "/")).parts)
+    if theirs and not Path(theirs[-1]).suffix:
+        ours[-1] = photo.stem
+    shared = 0
+    while shared < min(len(ours), len(theirs)) and ours[-1 - shared] == theirs[-1 - shared]:
+        shared += 1
+    return shared
+
+
+def _frame(camera: Camera, file_path: str) -> dict[str, Any]:
+    matrix = np.linalg.inv(camera.extrinsics) @ OPENGL_FROM_OPENCV
+    return {
+        "file_path": file_path,
+        "fl_x": float(camera.fx),
+        "fl_y": float(camera.fy),
+        "cx": float(camera.cx),
+        "cy": float(camera.cy),
+        "w": int(camera.width),
+        "h": int(camera.height),
+        "transform_matrix": (matrix + 0.0).tolist(),  # + 0.0 turns -0.0 into 0.0
+    }
+
+
+def _load(source: Path | bytes) -> tuple[str, dict[str, Any]]:
+    name = "-" if isinstance(source, bytes) else str(source)
+    try:
+        data = source if isinstance(source, bytes) else source.read_bytes()
+        content = json.loads(data)
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name}: not a JSON file: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{name}: expected nerfstudio's transforms.json, an object with 'frames'")
+    return name, content
+
+
+def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> Camera:
+    model = values.get("camera_model", WRITTEN_MODEL)
+    if model not in PINHOLES:
+        raise InputError(f"{where}: camera_model {model!r} is no perspective camera; undistort it")
+    width, height = _size(values, size, where)
+    fx = _focal(values, "fl_x", "camera_angle_x", width, where)
+    fy = _focal(values, "fl_y", "camera_angle_y", height, where)
+    if fx is None and fy is None:
+        raise InputError(f"{where}: no focal length ('fl_x' or 'camera_angle_x')")
+    cx, cy = _number(values, "cx", where), _number(values, "cy", where)
+    pose = _rigid(values.get("transform_matrix"), where)
+    return Camera(
+        extrinsics=np.linalg.inv(pose @ OPENGL_FROM_OPENCV).astype(np.float64),
+        fx=fx or fy or 0.0,
+        fy=fy or fx or 0.0,
+        cx=width / 2 if cx is None else cx,
+        cy=height / 2 if cy is None else cy,
+        width=width,
+        height=height,
+    )
+
+
+def _size(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> tuple[int, int]:
+    width, height = _number(values, "w", where), _number(values, "h", where)
+    if width is None or height is None:
+        if size is None:
+            raise InputError(f"{where}: no 'w' and 'h'; add the photos' size to the file")
+        return size
+    if width < 1 or height < 1 or width % 1 or height % 1:
+        raise InputError(f"{where}: 'w' and 'h' are {width:g} and {height:g}, not a picture's size")
+    return int(width), int(height)
+
+
+def _number(values: dict[str, Any], key: str, where: str) -> float | None:
+    value = values.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{where}: '{key}' is {value!r}, not a number")
+    return float(value)
+
+
+def _focal(
+    values: dict[str, Any], key: str, angle_key: str, side: float, where: str
+) -> float | None:
+    focal, angle = _number(values, key, where), _number(values, angle_key, where)
+    if focal is None and angle is not None and 0 < angle < math.pi:
+        focal = side / 2 / math.tan(angle / 2)
+    if focal is not None and focal <= 0:
+        raise InputError(f"{where}: '{key}' is {focal:g}; a focal length is above 0")
+    return focal
+
+
+def _rigid(matrix: Any, where: str) -> NDArray[np.float64]:
+    """A 4x4 (or 3x4) camera-to-world matrix with an exact rotation."""
+    try:
+        rows = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        rows = np.empty(0)
+    if rows.shape not in ((4, 4), (3, 4)) or not np.isfinite(rows).all():
+        raise InputError(f"{where}: 'transform_matrix' is not a 4x4 matrix of numbers")
+    if len(rows) == 4 and not np.allclose(rows[3], [0, 0, 0, 1], atol=RIGID_TOLERANCE):
+        raise InputError(f"{where}: the last row of 'transform_matrix' is not 0 0 0 1")
+    rotation = rows[:3, :3]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > RIGID_TOLERANCE:
+        raise InputError(f"{where}: 'transform_matrix' is no rigid motion (scaled or sheared)")
+    if np.linalg.det(rotation) < 0:
+        raise InputError(f"{where}: 'transform_matrix' mirrors the scene")
+    left, _, right = np.linalg.svd(rotation)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = left @ right, rows[:3, 3]
+    return pose
