@@ -168,9 +168,9 @@ class SceneBuilder:
         """The scene as arrays."""
         counts = [len(m.vertices) for m in self.meshes]
         return Scene(
-            np.concatenate([m.vertices for m in self.meshes]),
-            np.concatenate([m.normals for m in self.meshes]),
-            np.concatenate([m.uvs for m in self.meshes]),
+            np.concatenate([m.vertices for m in self.meshes], dtype=np.float32),
+            np.concatenate([m.normals for m in self.meshes], dtype=np.float32),
+            np.concatenate([m.uvs for m in self.meshes], dtype=np.float32),
             np.repeat(np.arange(len(counts), dtype=np.int32), counts),
             self.materials,
             pyramids(self.pictures),

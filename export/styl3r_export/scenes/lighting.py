@@ -24,6 +24,7 @@ class LightMaps:
     """What shading needs to know of the lights, as arrays.
 
     Attributes:
+        places: (L, 3) where the lights stand.
         extrinsics: (L, 4, 4) world to light camera.
         focal: (L,) of the light cameras, texels.
         colours: (L, 3) linear.
@@ -34,6 +35,7 @@ class LightMaps:
         grid_cell: size of a cell.
     """
 
+    places: NDArray[np.float32]
     extrinsics: NDArray[np.float32]
     focal: NDArray[np.float32]
     colours: NDArray[np.float32]
@@ -78,6 +80,7 @@ def light_maps(scene: Scene, low: NDArray[np.float64], high: NDArray[np.float64]
     cell = float((high - low).max()) / (GRID - 4)
     corner = (low + high) / 2 - cell * GRID / 2
     return LightMaps(
+        np.array([light.position for light in scene.lights], np.float32).reshape(-1, 3),
         np.array(extrinsics, np.float32).reshape(-1, 4, 4),
         np.array(focal, np.float32),
         np.array([light.colour for light in scene.lights], np.float32).reshape(-1, 3),

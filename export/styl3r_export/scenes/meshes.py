@@ -1,14 +1,20 @@
 """Triangle soups: boxes, surfaces over a grid, lathes, tubes and blobs."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float32]
 #: Three numbers, or any array of them.
 Triple = Sequence[float] | NDArray[np.floating]
+#: The two triangles of a quadrilateral.
+QUAD = np.array([[0, 1, 2], [0, 2, 3]])
+#: Squared parallelogram area below which a triangle has collapsed, as at poles.
+COLLAPSED = 1e-16
 
 
 @dataclass(frozen=True)
@@ -29,10 +35,13 @@ class Mesh:
         self, position: Triple = (0, 0, 0), rotation: NDArray[np.float64] | None = None
     ) -> "Mesh":
         """The mesh turned by a 3x3 rotation and then moved."""
-        turn = np.eye(3) if rotation is None else rotation
-        vertices = self.vertices @ turn.T + np.asarray(position)
-        normals = self.normals @ turn.T
-        return Mesh(vertices.astype(np.float32), normals.astype(np.float32), self.uvs)
+        offset = np.asarray(position, np.float32)
+        if rotation is None:
+            return Mesh(self.vertices + offset, self.normals, self.uvs)
+        turn = rotation.T.astype(np.float32)
+        vertices = self.vertices.reshape(-1, 3) @ turn + offset
+        normals = self.normals.reshape(-1, 3) @ turn
+        return Mesh(vertices.reshape(-1, 3, 3), normals.reshape(-1, 3, 3), self.uvs)
 
 
 def merged(meshes: Sequence[Mesh]) -> Mesh:
@@ -63,77 +72,124 @@ def random_turn(rng: np.random.Generator) -> NDArray[np.float64]:
     return q
 
 
+@njit(cache=True, nogil=True)
+def _grid_normals(points: NDArray[np.float64], closed: bool) -> NDArray[np.float64]:
+    """(m, n, 3) unit normals of a grid of points from its central differences."""
+    rows, columns = points.shape[:2]
+    normals = np.empty((rows, columns, 3))
+    for i in range(rows):
+        for j in range(columns):
+            low, high = max(j - 1, 0), min(j + 1, columns - 1)
+            if closed and (j == 0 or j == columns - 1):
+                low, high = columns - 2, 1
+            a = points[i, high] - points[i, low]
+            b = points[min(i + 1, rows - 1), j] - points[max(i - 1, 0), j]
+            x, y = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
+            z = a[0] * b[1] - a[1] * b[0]
+            length = np.sqrt(x * x + y * y + z * z)
+            if length < 1e-14:  # a pole: its neighbours' directions cancel
+                x, y, z, length = 0.0, 0.0, 1.0, 1.0
+            normals[i, j, 0], normals[i, j, 1] = x / length, y / length
+            normals[i, j, 2] = z / length
+    return normals
+
+
+@njit(cache=True, nogil=True)
+def _grid_triangles(grid: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(T, 3, C) corners of the two triangles of every cell, collapsed ones left out."""
+    rows, columns, channels = grid.shape
+    corners = np.empty((2 * (rows - 1) * (columns - 1), 3, channels), np.float32)
+    count = 0
+    for i in range(rows - 1):
+        for j in range(columns - 1):
+            for half in range(2):
+                a, c = grid[i, j], grid[i + 1, j + 1]
+                b = grid[i, j + 1] if half else grid[i + 1, j]
+                area = 0.0
+                for k in range(3):
+                    m, n = (k + 1) % 3, (k + 2) % 3
+                    part = (b[m] - a[m]) * (c[n] - a[n]) - (b[n] - a[n]) * (c[m] - a[m])
+                    area += part * part
+                if area > COLLAPSED:
+                    corners[count, 0], corners[count, 1], corners[count, 2] = a, b, c
+                    count += 1
+    return corners[:count]
+
+
 def surface(
     points: NDArray[np.float64], uv: NDArray[np.float64] | None = None, closed: bool = False
 ) -> Mesh:
     """Smooth surface over a grid of points.
 
     Args:
-        points: (m, n, 3) grid; normals point along d/dn x d/dm ... of its two directions.
+        points: (m, n, 3) grid.
         uv: (m, n, 2) texture coordinates; None measures them along the grid's middle lines.
         closed: the last column is the first again (normals join there).
     """
-    along = np.gradient(points, axis=0)
-    across = np.gradient(points, axis=1)
-    if closed:
-        join = points[:, 1] - points[:, -2]
-        across[:, 0] = across[:, -1] = join / 2
-    normals = np.cross(across, along)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
+    points = np.ascontiguousarray(points, np.float64)
+    normals = _grid_normals(points, closed)
     if uv is None:
         uv = _measured(points)
-    grid = np.concatenate([points, normals, uv], -1).astype(np.float32)
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    corners = np.stack([np.stack([a, b, c], 2), np.stack([a, c, d], 2)], 2).reshape(-1, 3, 8)
-    edges = np.cross(corners[:, 1, :3] - corners[:, 0, :3], corners[:, 2, :3] - corners[:, 0, :3])
-    corners = corners[np.einsum("ij,ij->i", edges, edges) > 1e-16]  # poles collapse triangles
-    return Mesh(
-        np.ascontiguousarray(corners[..., :3]),
-        np.ascontiguousarray(corners[..., 3:6]),
-        np.ascontiguousarray(corners[..., 6:]),
-    )
+    corners = _grid_triangles(np.concatenate([points, normals, uv], -1).astype(np.float32))
+    return Mesh(corners[..., :3], corners[..., 3:6], corners[..., 6:])
 
 
 def _measured(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Texture coordinates in lengths, measured along each grid direction's mean steps."""
-    rows = np.linalg.norm(np.diff(points, axis=0), axis=-1).mean(1)
-    columns = np.linalg.norm(np.diff(points, axis=1), axis=-1).max(0)
-    v = np.concatenate([[0.0], np.cumsum(rows)])
-    u = np.concatenate([[0.0], np.cumsum(columns)])
-    return np.stack(np.meshgrid(u, v), -1)
+    """Texture coordinates in lengths, measured along the grid's middle row and column."""
+    rows, columns = points.shape[:2]
+    down = np.diff(points[:, columns // 2], axis=0)
+    across = np.diff(points[rows // 2], axis=0)
+    uv = np.zeros((rows, columns, 2))
+    uv[:, 1:, 0] = np.cumsum(np.sqrt((across * across).sum(1)))
+    uv[1:, :, 1] = np.cumsum(np.sqrt((down * down).sum(1)))[:, None]
+    return uv
 
 
 def quad(origin: Triple, right: Triple, up: Triple) -> Mesh:
     """A flat parallelogram; its normal is right x up."""
     corner, u, v = (np.asarray(x, np.float64) for x in (origin, right, up))
-    normal = np.cross(u, v)
-    normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
-    width, height = float(np.linalg.norm(u)), float(np.linalg.norm(v))
+    normal = np.array(
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    )
+    normal /= max(math.sqrt(normal @ normal), 1e-12)
+    width, height = math.sqrt(u @ u), math.sqrt(v @ v)
     points = np.array([corner, corner + u, corner + u + v, corner + v], np.float32)
     uv = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
-    index = np.array([[0, 1, 2], [0, 2, 3]])
-    normals = np.broadcast_to(normal.astype(np.float32), (2, 3, 3)).copy()
-    return Mesh(points[index], normals, uv[index])
+    normals = np.empty((2, 3, 3), np.float32)
+    normals[:] = normal
+    return Mesh(points[QUAD], normals, uv[QUAD])
 
 
-def box(size: Triple, centre: Triple = (0, 0, 0)) -> Mesh:
-    """Axis-aligned box of a full size (x, y, z) about a centre."""
-    half = np.asarray(size, np.float64) / 2
-    faces = []
+def _unit_box() -> tuple[Array, Array, NDArray[np.intp]]:
+    """Corners and normals of a box of half size 1, and the axes of each face's texture."""
+    vertices, normals, axes = [], [], []
     for axis in range(3):
         a, b = (axis + 1) % 3, (axis + 2) % 3
         if axis == 1:  # texture v runs upwards on all upright faces
             a, b = b, a
         for side in (-1.0, 1.0):
-            right, up, origin = np.zeros(3), np.zeros(3), -half.copy()
-            right[a], up[b] = 2 * half[a], 2 * half[b]
-            origin[axis] = side * half[axis]
-            face = quad(origin, right, up)
-            outward = np.zeros(3, np.float32)
-            outward[axis] = side
-            faces.append(Mesh(face.vertices, np.tile(outward, (2, 3, 1)), face.uvs))
-    return merged(faces).placed(centre)
+            right, up, origin, outward = np.zeros(3), np.zeros(3), -np.ones(3), np.zeros(3)
+            right[a] = up[b] = 2.0
+            origin[axis] = outward[axis] = side
+            vertices.append(quad(origin, right, up).vertices)
+            normals.append(np.tile(outward, (2, 3, 1)))
+            axes.append(np.tile([a, b], (2, 3, 1)))
+    return (
+        np.concatenate(vertices),
+        np.concatenate(normals).astype(np.float32),
+        np.concatenate(axes),
+    )
+
+
+UNIT_BOX = _unit_box()
+
+
+def box(size: Triple, centre: Triple = (0, 0, 0)) -> Mesh:
+    """Axis-aligned box of a full size (x, y, z) about a centre."""
+    unit, normals, axes = UNIT_BOX
+    scaled = unit * (np.asarray(size, np.float32) / 2)
+    uvs = np.take_along_axis(scaled, axes, 2)
+    return Mesh(scaled + np.asarray(centre, np.float32), normals, uvs)
 
 
 def lathe(profile: NDArray[np.float64], sides: int = 24) -> Mesh:
@@ -198,8 +254,7 @@ def blob(
     points = unit * np.asarray(radii, np.float64)
     if swell is not None:
         points = points * swell(unit)[..., None]
-    mesh = surface(points, closed=True)
-    return mesh
+    return surface(points, closed=True)
 
 
 def tube(path: NDArray[np.float64], radius: NDArray[np.float64] | float, sides: int = 8) -> Mesh:

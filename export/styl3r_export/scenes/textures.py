@@ -75,14 +75,15 @@ class TextureBank:
 
 def _recoloured(rng: np.random.Generator, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Saturation, contrast, tint and brightness varied, sometimes strongly."""
-    x = picture.astype(np.float32)
-    grey = x.mean(-1, keepdims=True)
-    x = grey + (x - grey) * float(rng.uniform(0.3, 1.4))
-    mean = x.mean((0, 1))
-    x = mean + (x - mean) * float(rng.uniform(0.5, 1.2))
+    saturation, contrast = rng.uniform(0.3, 1.4), rng.uniform(0.5, 1.2)
     strength = 0.3 if rng.random() < 0.12 else 0.08
-    x = x * np.exp(rng.normal(0, strength, 3)).astype(np.float32) * float(rng.uniform(0.75, 1.3))
-    return np.clip(x, 0, 255).astype(np.uint8)
+    gain = np.exp(rng.normal(0, strength, 3)) * rng.uniform(0.75, 1.3)
+    mix = saturation * np.eye(3) + (1 - saturation) / 3  # about each pixel's own grey
+    mean = np.array(cv2.mean(picture)[:3])
+    matrix = np.empty((3, 4))
+    matrix[:, :3] = gain[:, None] * contrast * mix
+    matrix[:, 3] = gain * (1 - contrast) * (mix @ mean)
+    return np.asarray(cv2.transform(np.ascontiguousarray(picture), matrix), np.uint8)
 
 
 def pyramids(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:

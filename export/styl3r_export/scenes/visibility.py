@@ -105,5 +105,8 @@ def first_hits(
 
 def to_camera(points: NDArray[np.float32], extrinsics: NDArray[np.float64]) -> NDArray[np.float32]:
     """World points (..., 3) in the frame of a world-to-camera 4x4."""
-    rotation, offset = extrinsics[:3, :3], extrinsics[:3, 3]
-    return (points.astype(np.float64) @ rotation.T + offset).astype(np.float32)
+    rotation = extrinsics[:3, :3]
+    eye = -rotation.T @ extrinsics[:3, 3]
+    # Subtracting the eye first keeps float32 exact enough far from the world's origin.
+    ahead = (points.reshape(-1, 3) - eye.astype(np.float32)) @ rotation.T.astype(np.float32)
+    return ahead.reshape(points.shape)
