@@ -15,6 +15,7 @@ SMALLEST_RESIDUAL = (
     1e-9  # at a focal length of 1; keeps the weights 1 / residual finite at an exact fit
 )
 FEWEST_POINTS = 12
+ENOUGH_POINTS = 16384  # every so many-th of larger maps; one number needs no more
 # Focal lengths in units of the longer side that a lens can have: 157 to 3 degrees.
 SHORTEST, LONGEST = 0.1, 20.0
 
@@ -40,9 +41,10 @@ def reprojection_errors(
     """
     rotation, translation = camera.extrinsics[:3, :3], camera.extrinsics[:3, 3]
     with np.errstate(all="ignore"):
-        x, y, z = (points.astype(np.float64) @ rotation.T + translation).T
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        errors = np.hypot(u - pixels[:, 0], v - pixels[:, 1])
+        x, y, z = rotation @ points.T.astype(np.float64, order="C") + translation[:, None]
+        off_x = camera.fx * x / z + camera.cx - pixels[:, 0]
+        off_y = camera.fy * y / z + camera.cy - pixels[:, 1]
+        errors = np.sqrt(off_x * off_x + off_y * off_y)
         return np.where((z > 0) & np.isfinite(errors), errors, np.inf)
 
 
@@ -88,8 +90,10 @@ def estimate_focal(
     usable = np.isfinite(flat).all(axis=1) & (flat[:, 2] > 0) & (opacities.ravel() > 0)
     if usable.sum() < FEWEST_POINTS:
         return None
-    weights = opacities.ravel()[usable].astype(np.float64)
-    rays, pixels = flat[usable, :2] / flat[usable, 2:], pixels[usable] * [1, camera.fx / camera.fy]
+    kept = np.flatnonzero(usable)
+    kept = kept[:: -(-len(kept) // ENOUGH_POINTS)]
+    weights = opacities.ravel()[kept].astype(np.float64)
+    rays, pixels = flat[kept, :2] / flat[kept, 2:], pixels[kept] * [1, camera.fx / camera.fy]
     along, across = (rays * pixels).sum(axis=1), (pixels * pixels).sum(axis=1)
     # The inverse focal length; the pixels' own answers' median is close enough to start from.
     inverse = float(np.median(along[across > 0] / across[across > 0]))

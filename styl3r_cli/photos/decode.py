@@ -84,7 +84,8 @@ def decode(path: Path) -> Decoded:
 
     16-bit values are scaled (65535 becomes 255), alpha is composited on white, an embedded ICC
     profile is converted to sRGB (relative colorimetric, black point compensated), the first frame
-    of an animation is used, and all eight EXIF orientations are undone.
+    of an animation is used, and all eight EXIF orientations are undone (in HEIC, whose standard
+    gives EXIF no say in it, the file's own rotation).
 
     Args:
         path: JPEG, PNG, WebP, TIFF, AVIF, BMP, GIF, PPM, or HEIC where pillow-heif is installed.
