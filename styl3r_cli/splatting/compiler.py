@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -25,6 +28,10 @@ def kernel(function: Callable[..., Any], fastmath: set[str] | None = None) -> Ca
 
     numba looks for a writable folder when it decorates. With none (a read-only install and no
     home), it raises: then the function is compiled anew in each process, which costs seconds.
+
+    Args:
+        function: to compile; its arguments' types are those of the first call.
+        fastmath: LLVM's licence with float arithmetic; by default EXACT_ENOUGH.
     """
     options: dict[str, Any] = {
         "nogil": True,
@@ -32,9 +39,24 @@ def kernel(function: Callable[..., Any], fastmath: set[str] | None = None) -> Ca
         "error_model": "numpy",  # x / 0 is inf, as in numpy, instead of an exception
     }
     try:
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:
+        compiled = numba.njit(cache=True, **options)(function)
+        # numba checks the kept code against the function's own file; but the constants and the
+        # other kernels that it compiled in come from the files beside it, and may have changed.
+        kept = compiled._cache._cache_file
+        kept._source_stamp = (kept._source_stamp, _sources(Path(function.__code__.co_filename)))
+        return compiled
+    except (RuntimeError, AttributeError, OSError):
         return numba.njit(**options)(function)
+
+
+@cache
+def _sources(file: Path) -> str:
+    """Digest of the modules that a kernel in this file may draw on: its folder's and this one's."""
+    folders = sorted({file.parent, Path(__file__).parent})
+    digest = hashlib.sha256()
+    for source in (source for folder in folders for source in sorted(folder.glob("*.py"))):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
 
 
 def default_threads() -> int:

@@ -15,7 +15,6 @@ from splat_oracle import draw
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.splatting import render, tiles
-from styl3r_cli.splatting.compiler import kernel
 from styl3r_cli.splatting.projection import near_plane
 
 TOLERANCE = 1e-4
@@ -292,9 +291,3 @@ def test_a_forked_process_can_render():
     child.start()
     np.testing.assert_array_equal(queue.get(timeout=60), expected)
     child.join(10)
-
-
-def test_a_kernel_works_without_a_place_for_its_cache():
-    names: dict = {}
-    exec("def double(x):\n    return 2 * x", names)  # has no file, so numba finds no cache for it
-    assert kernel(names["double"])(21) == 42
