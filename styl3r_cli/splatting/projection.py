@@ -31,6 +31,9 @@ U, V, A, B, C, LOG_OPACITY, Z, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 8
 
 VISIBLE, OUTSIDE, INVALID = 0, 1, 2
 
+# Blending keeps depths in float32; nothing that is farther could be told apart.
+FARTHEST = float(np.finfo(np.float32).max)
+
 # Largest number of means that the scene's size is measured on (the median needs no more).
 SIZE_SAMPLES = 8192
 
@@ -106,6 +109,25 @@ def axis_limits(focal, centre, length):
 
 
 @kernel
+def view_centre(i, means, view):
+    """A mean in the camera: x / z, y / z and z."""
+    m0, m1, m2 = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+    z = view[2, 0] * m0 + view[2, 1] * m1 + view[2, 2] * m2 + view[2, 3]
+    x = view[0, 0] * m0 + view[0, 1] * m1 + view[0, 2] * m2 + view[0, 3]
+    y = view[1, 0] * m0 + view[1, 1] * m1 + view[1, 2] * m2 + view[1, 3]
+    return x / z, y / z, z
+
+
+@kernel
+def unit_quaternion(i, rotations):
+    """A rotation as a quaternion w x y z of length 1, and the length that it had."""
+    w, x = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
+    y, z = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    return (w / norm, x / norm, y / norm, z / norm), norm
+
+
+@kernel
 def to_matrix(w, x, y, z):
     """The (3, 3) rotation of a unit quaternion, row by row."""
     return (
@@ -172,18 +194,13 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
         if not _valid(i, means, scales, rotations, opacities, colours):
             status[i] = INVALID
             continue
-        m0, m1, m2 = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
-        z = view[2, 0] * m0 + view[2, 1] * m1 + view[2, 2] * m2 + view[2, 3]
+        slope_x, slope_y, z = view_centre(i, means, view)
         opacity = np.float64(opacities[i])
-        if not (z > near and z > 0 and opacity > 0):
+        if not (z > near and 0 < z < FARTHEST and opacity > 0):
             continue
-        slope_x = (view[0, 0] * m0 + view[0, 1] * m1 + view[0, 2] * m2 + view[0, 3]) / z
-        slope_y = (view[1, 0] * m0 + view[1, 1] * m1 + view[1, 2] * m2 + view[1, 3]) / z
-        qw, qx = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
-        qy, qz = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
-        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+        quaternion, _ = unit_quaternion(i, rotations)
         footprint(
-            view, (qw / norm, qx / norm, qy / norm, qz / norm),
+            view, quaternion,
             np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2]),
             fx / z, fy / z, min(max(slope_x, x_low), x_high), min(max(slope_y, y_low), y_high),
             rows,

@@ -15,11 +15,12 @@ from styl3r_cli.splatting.projection import (
     A,
     B,
     C,
-    Z,
     axis_limits,
     covariance,
     footprint,
     to_matrix,
+    unit_quaternion,
+    view_centre,
 )
 from styl3r_export.splatting.gradients import (
     DEPTH,
@@ -86,6 +87,28 @@ def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):
 
 
 @kernel
+def _footprint_gradient(view, q, sigmas, focals_z, slopes, z, rows, g_rows, g_n):
+    """Fill ``g_n`` (3, 3), the gradient of ``n = view @ rotation @ diag(scales)``.
+
+    The footprint's rows are ``focal / z (n[axis] - slope n[2])``.
+
+    Returns:
+        The gradients of the two slopes, and of z where it divides the focal length.
+    """
+    rotation = to_matrix(q[0], q[1], q[2], q[3])
+    g_slope_x, g_slope_y, g_z = 0.0, 0.0, 0.0
+    for k in range(3):
+        sigma = sigmas[0] if k == 0 else (sigmas[1] if k == 1 else sigmas[2])
+        n2 = view[2, 0] * rotation[k] + view[2, 1] * rotation[3 + k] + view[2, 2] * rotation[6 + k]
+        g_n[0, k], g_n[1, k] = focals_z[0] * g_rows[0, k], focals_z[1] * g_rows[1, k]
+        g_n[2, k] = -slopes[0] * g_n[0, k] - slopes[1] * g_n[1, k]
+        g_slope_x -= g_n[0, k] * n2 * sigma
+        g_slope_y -= g_n[1, k] * n2 * sigma
+        g_z -= (g_rows[0, k] * rows[0, k] + g_rows[1, k] * rows[1, k]) / z
+    return g_slope_x, g_slope_y, g_z
+
+
+@kernel
 def _sum_pairs(i, slots, pairs, sums):
     sums[:] = 0.0
     for slot in range(slots[i], slots[i + 1]):
@@ -114,41 +137,21 @@ def unproject(begin, end, means, scales, rotations, opacities, view, lens, heigh
         g_opacities[i] = sums[G] / (opacities[i] * math.log(2.0))
         for k in range(3):
             g_colours[i, k] = sums[RED + k]
-        m0, m1, m2 = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
-        a, b, c, z = records[i, A], records[i, B], records[i, C], records[i, Z]
-        x_z = (view[0, 0] * m0 + view[0, 1] * m1 + view[0, 2] * m2 + view[0, 3]) / z
-        y_z = (view[1, 0] * m0 + view[1, 1] * m1 + view[1, 2] * m2 + view[1, 3]) / z
+        a, b, c = records[i, A], records[i, B], records[i, C]
+        x_z, y_z, z = view_centre(i, means, view)
         slope_x, slope_y = min(max(x_z, x_low), x_high), min(max(y_z, y_low), y_high)
-        qw, qx = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
-        qy, qz = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
-        norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-        q = (qw / norm, qx / norm, qy / norm, qz / norm)
+        q, norm = unit_quaternion(i, rotations)
         s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
         footprint(view, q, s0, s1, s2, fx / z, fy / z, slope_x, slope_y, rows)
         _shape_gradient(sums, a, b, c, rows, g_rows)
-        # rows[0] = fx / z (n[0] - slope_x n[2]), so n[2] without forming it again:
-        g_slope_x, g_slope_y, g_z = 0.0, 0.0, sums[DEPTH]
-        rotation = to_matrix(q[0], q[1], q[2], q[3])
-        for k in range(3):
-            sigma = s0 if k == 0 else (s1 if k == 1 else s2)
-            n2 = sigma * (
-                view[2, 0] * rotation[k]
-                + view[2, 1] * rotation[3 + k]
-                + view[2, 2] * rotation[6 + k]
-            )
-            g_n[0, k], g_n[1, k] = fx / z * g_rows[0, k], fy / z * g_rows[1, k]
-            g_n[2, k] = -slope_x * g_n[0, k] - slope_y * g_n[1, k]
-            g_slope_x -= g_n[0, k] * n2
-            g_slope_y -= g_n[1, k] * n2
-            g_z -= (g_rows[0, k] * rows[0, k] + g_rows[1, k] * rows[1, k]) / z
+        g_slope_x, g_slope_y, g_z = _footprint_gradient(
+            view, q, (s0, s1, s2), (fx / z, fy / z), (slope_x, slope_y), z, rows, g_rows, g_n
+        )
         _axes_gradient(i, view, q, norm, scales, g_n, g_scales, g_rotations)
         # The centre moves freely; the Jacobian's slopes only inside the frame's margin.
         g_x_z = 2 * a * sums[G_P] * fx + (g_slope_x if slope_x == x_z else 0.0)
-        g_y_z = 2 * (b * sums[G_P] + c * c * sums[G_DY]) * fy + (
-            g_slope_y if slope_y == y_z else 0.0
-        )
-        g_z -= (g_x_z * x_z + g_y_z * y_z) / z
+        g_y_z = 2 * (b * sums[G_P] + c * c * sums[G_DY]) * fy
+        g_y_z += g_slope_y if slope_y == y_z else 0.0
+        g_z += sums[DEPTH] - (g_x_z * x_z + g_y_z * y_z) / z
         for k in range(3):
-            g_means[i, k] = (
-                view[0, k] * g_x_z / z + view[1, k] * g_y_z / z + view[2, k] * g_z
-            )  # fmt: skip
+            g_means[i, k] = view[0, k] * g_x_z / z + view[1, k] * g_y_z / z + view[2, k] * g_z
