@@ -100,7 +100,13 @@ class Styl3r(nn.Module):
 
         Returns:
             Gaussians in the first view's frame (OpenCV axes), and content tokens.
+
+        Raises:
+            ValueError: fewer than two views, or a side that is no multiple of 16.
         """
+        if images.shape[0] < 2:
+            raise ValueError("at least 2 views are needed, got 1")
+        check_sides(images)
         content = self.encode(images[None], intrinsics[None])
         out = self.decode_structure(content, images[None], intrinsics[None])
         means, scales, rotations, opacities = (t.squeeze(0) for t in out.geometry)
@@ -122,7 +128,12 @@ class Styl3r(nn.Module):
             style_weights: weights of the styles' tokens, summing to 1.
             images: the views again, sRGB in [0, 1] (the published colour head does not read
                 their values, only their size).
+
+        Raises:
+            ValueError: a side that is no multiple of 16.
         """
+        check_sides(images)
+        check_sides(style_images)
         colours = self.decode_appearance(
             content_tokens[None], style_images[None], style_weights[None], images[None]
         )
@@ -228,6 +239,13 @@ class Styl3r(nn.Module):
         if self.config.colours == "affine":
             return colours_from_affine(raw, images)
         return colours_from_sh(raw)
+
+
+def check_sides(images: Float[Tensor, "batch 3 height width"]) -> None:
+    """Make sure that pictures divide into patches; a remainder would be dropped silently."""
+    height, width = images.shape[-2:]
+    if height % PATCH or width % PATCH:
+        raise ValueError(f"sides must be multiples of {PATCH}, got {height} x {width}")
 
 
 def _cat_views(first: Tensor, rest: Tensor) -> Tensor:
