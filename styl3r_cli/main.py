@@ -25,6 +25,14 @@ COMMANDS = {
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
 BROKEN_PIPE = 128 + 13  # how shells report a program that SIGPIPE ended
 TERMINATED = 128 + 15
+HELP = """\
+2 to 8 photos of a place and one painting become a stylized 3D scene, on any CPU.
+
+\b
+  styl3r stylize photos/ --style art.jpg -o scene.ply --video scene.mp4
+
+`styl3r COMMAND --help` explains a command.
+"""
 EPILOG = """\b
 Exit codes:
   0  done                      4  the model is missing or damaged
@@ -66,18 +74,13 @@ class LazyGroup(click.Group):
 
 @click.command(
     cls=LazyGroup,
+    help=HELP,
     epilog=EPILOG,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(__version__, message="%(prog)s %(version)s")
 def group() -> None:
-    r"""2 to 8 photos of a place and one painting become a stylized 3D scene, on any CPU.
-
-    \b
-      styl3r stylize photos/ --style art.jpg -o scene.ply --video scene.mp4
-
-    `styl3r COMMAND --help` explains a command.
-    """
+    """2 to 8 photos of a place and one painting become a stylized 3D scene."""
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -1,0 +1,48 @@
+"""The views' cameras as text lines that travel inside a scene file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from styl3r_cli.cameras.camera import Camera
+
+# Viewers read only the first kilobytes when they look for the end of a PLY header (10 KB in a
+# popular one), so a camera is one short line: 8 of them are about 1.5 KB.
+KEY = "camera.{}"
+NUMBERS = 18  # width, height, fx, fy, cx, cy, and the upper three rows of the extrinsics
+DIGITS = 8  # more than float32 has; a thousandth of a pixel in any frame
+
+
+def cameras_to_metadata(cameras: Sequence[Camera]) -> dict[str, str]:
+    """One entry per camera: "width height fx fy cx cy", then world-to-camera, 3x4, by rows."""
+    metadata = {}
+    for index, c in enumerate(cameras):
+        values = [c.width, c.height, c.fx, c.fy, c.cx, c.cy, *c.extrinsics[:3].ravel()]
+        metadata[KEY.format(index)] = " ".join(f"{value:.{DIGITS}g}" for value in values)
+    return metadata
+
+
+def cameras_from_metadata(metadata: Mapping[str, str]) -> list[Camera]:
+    """The inverse; ends at the first entry that is missing or was not written by styl3r."""
+    cameras: list[Camera] = []
+    while camera := _parse(metadata.get(KEY.format(len(cameras)), "")):
+        cameras.append(camera)
+    return cameras
+
+
+def _parse(text: str) -> Camera | None:
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        return None
+    if len(values) != NUMBERS or not all(math.isfinite(value) for value in values):
+        return None
+    width, height, fx, fy, cx, cy = values[:6]
+    if width < 1 or height < 1 or fx <= 0 or fy <= 0:
+        return None
+    extrinsics = np.eye(4)
+    extrinsics[:3] = np.reshape(values[6:], (3, 4))
+    return Camera(extrinsics, fx, fy, cx, cy, int(width), int(height))

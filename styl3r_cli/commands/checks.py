@@ -1,0 +1,57 @@
+"""What can be refused before the work begins, so that no minute of it is lost."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from styl3r_cli.errors import OutputError, UsageError
+
+SHEET_SUFFIXES = (".png",)
+
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Make sure that results can be written where they were asked for.
+
+    Raises:
+        UsageError: two results have one name, or a result would replace something that is read.
+        OutputError: a folder is missing, or may not be written to.
+    """
+    read = {path.resolve(): path for path in inputs}
+    written: dict[Path, Path] = {}
+    for path in outputs:
+        target = path.resolve()
+        if target in read:
+            raise UsageError(f"{path} is also an input; results never replace what they come from")
+        if target in written and target != Path(os.devnull):
+            raise UsageError(f"{path}: two results cannot go to one file")
+        written[target] = path
+        if target.is_dir():
+            raise OutputError(f"cannot write {path}: it is a folder; name a file in it")
+        if not target.parent.is_dir():
+            raise OutputError(f"cannot write {path}: the folder {path.parent} does not exist")
+        if not os.access(target if target.exists() else target.parent, os.W_OK):
+            raise OutputError(f"cannot write {path}: permission denied")
+
+
+def check_stdout(option: str) -> None:
+    """Make sure that binary data for standard output does not end on a terminal.
+
+    Raises:
+        UsageError: it would.
+    """
+    if sys.stdout is not None and sys.stdout.isatty():
+        message = "standard output is a terminal; pipe it into a program or name a file"
+        raise UsageError(f"{option}: {message}")
+
+
+def check_suffix(path: Path, allowed: tuple[str, ...], option: str) -> None:
+    """Make sure that a result's suffix names a format that it can have.
+
+    Raises:
+        UsageError: it does not.
+    """
+    if path.suffix.lower() not in allowed:
+        raise UsageError(f"{option} {path}: the file's name must end in {' or '.join(allowed)}")

@@ -1,0 +1,145 @@
+"""Options that several commands share, and the types of their values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import click
+
+STDOUT = "-"
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class WeightedStyle(NamedTuple):
+    """A style picture's file and how much it counts beside others."""
+
+    path: Path
+    weight: float
+
+
+class StyleType(click.ParamType):
+    """ART or ART=WEIGHT; a file that is really called that is never split."""
+
+    name = "ART[=WEIGHT]"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> WeightedStyle:
+        """Split a weight off, if what follows the last "=" is a number."""
+        if isinstance(value, WeightedStyle):
+            return value
+        path, separator, weight = str(value).rpartition("=")
+        if separator and path and not Path(value).expanduser().exists():
+            try:
+                return WeightedStyle(Path(path).expanduser(), float(weight))
+            except ValueError:
+                pass  # part of the file's name
+        return WeightedStyle(Path(value).expanduser(), 1.0)
+
+
+class SizeType(click.ParamType):
+    """SIDE or WIDTHxHEIGHT in pixels, as (width, height)."""
+
+    name = "WxH"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        """One number is a square."""
+        if isinstance(value, tuple):
+            return value
+        match = re.fullmatch(r"(\d{1,5})(?:x(\d{1,5}))?", str(value).strip().lower())
+        if not match or not int(match[1]) or (match[2] and not int(match[2])):
+            self.fail(f"'{value}' is not a size such as 256 or 640x480", param, ctx)
+        return int(match[1]), int(match[2] or match[1])
+
+
+class UserPath(click.ParamType):
+    """A path, with `~` understood also where the shell does not (--option=~/file)."""
+
+    name = "FILE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Refuse what no file can be called."""
+        if not str(value) or "\0" in str(value):
+            self.fail("the file name is empty", param, ctx)
+        return Path(value).expanduser()
+
+
+def apply(decorators: list[Callable[[Command], Command]]) -> Callable[[Command], Command]:
+    """Several decorators as one, in the order in which --help lists them."""
+
+    def decorate(command: Command) -> Command:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate
+
+
+quiet_option = click.option("--quiet", "-q", is_flag=True, help="No notes and no progress.")
+threads_option = click.option(
+    "--threads", type=click.IntRange(min=1), help="Processor cores to use; all by default."
+)
+
+# What `stylize` and `reconstruct` have in common; see commands/scene.py.
+scene_options = apply(
+    [
+        click.argument("photos", nargs=-1, required=True, metavar="PHOTOS..."),
+        click.option(
+            "--output",
+            "-o",
+            required=True,
+            metavar="SCENE.ply|-",
+            help="The scene, for any 3D Gaussian viewer; '-' writes it to standard output.",
+        ),
+        click.option("--video", type=UserPath(), metavar="OUT.mp4", help="A camera swing as MP4."),
+        click.option(
+            "--preview",
+            type=UserPath(),
+            metavar="SHEET.png",
+            help="One picture that shows photos, style and result side by side.",
+        ),
+        click.option(
+            "--cameras-out",
+            type=UserPath(),
+            metavar="TRANSFORMS.json",
+            help="Where the photos were taken from (nerfstudio's transforms.json).",
+        ),
+        click.option(
+            "--cameras",
+            type=UserPath(),
+            metavar="TRANSFORMS.json",
+            help="Known focal lengths of the photos, in the same format.",
+        ),
+        click.option(
+            "--fov",
+            type=float,
+            metavar="DEGREES",
+            help="Horizontal field of view of the photos; by default from EXIF, or assumed.",
+        ),
+        click.option(
+            "--size",
+            type=SizeType(),
+            metavar="SIDE|WxH",
+            help="What the photos are scaled and cropped to, multiples of 16; "
+            "by default what the model was trained on (256).",
+        ),
+        click.option(
+            "--model", default="mini", show_default=True, metavar="NAME|DIR", help="The network."
+        ),
+        click.option(
+            "--device",
+            type=click.Choice(["auto", "cpu", "cuda"]),
+            default="auto",
+            show_default=True,
+            help="What the network runs on.",
+        ),
+        threads_option,
+        click.option("--json", is_flag=True, help="Print a report as one JSON object."),
+        quiet_option,
+    ]
+)

@@ -1,0 +1,89 @@
+"""The JSON report of a run: one object on standard output, for scripts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from styl3r_cli import __version__
+from styl3r_cli.cameras.framing import uncropped
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.commands.request import Inputs, SceneRequest
+from styl3r_cli.console import Console
+from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.pipeline import Repairs
+
+
+def scene_report(
+    request: SceneRequest,
+    inputs: Inputs,
+    gaussians: Gaussians,
+    repairs: Repairs,
+    recovered: Recovered,
+    console: Console,
+) -> dict[str, Any]:
+    """What went in, what came out, how it went and how long it took, as plain values.
+
+    Cameras are in pixels of the photos as shown; extrinsics are world-to-camera with OpenCV axes.
+    Timings are in seconds by stage.
+    """
+    model, photos = inputs.stylizer.model, inputs.photos
+    height, width = photos.images.shape[2:]
+    outputs = {
+        "scene": request.scene_path,
+        "video": request.video,
+        "preview": request.preview,
+        "cameras": request.cameras_out,
+    }
+    return {
+        "command": request.command,
+        "version": __version__,
+        "model": {"name": model.name, "folder": str(model.folder), "device": model.device},
+        "size": [width, height],
+        "views": _views(inputs, recovered),
+        "styles": [{"path": str(style.path), "weight": style.weight} for style in request.styles],
+        "strength": request.strength,
+        "gaussians": len(gaussians),
+        "outputs": {name: _text(path) for name, path in outputs.items() if path is not None},
+        "repairs": repairs.to_dict(),
+        "warnings": console.notes,
+        "timings": {name: round(seconds, 4) for name, seconds in console.timings.items()},
+    }
+
+
+def print_report(report: dict[str, Any]) -> None:
+    """One JSON object, then a line end."""
+    click.echo(json.dumps(report, indent=2, allow_nan=False))
+
+
+def _views(inputs: Inputs, recovered: Recovered) -> list[dict[str, Any]]:
+    photos = inputs.photos
+    views = []
+    for index, (path, (width, height)) in enumerate(zip(photos.paths, photos.sizes, strict=True)):
+        camera = uncropped(recovered.cameras[index], width, height)
+        views.append(
+            {
+                "path": _text(path),
+                "width": width,
+                "height": height,
+                "focal_source": photos.focal_sources[index],
+                "camera": {
+                    "recovered": recovered.recovered[index],
+                    "inlier_ratio": round(recovered.inlier_ratios[index], 4),
+                    "fx": camera.fx,
+                    "fy": camera.fy,
+                    "cx": camera.cx,
+                    "cy": camera.cy,
+                    "extrinsics": camera.extrinsics.tolist(),
+                },
+            }
+        )
+    return views
+
+
+def _text(path: Path) -> str:
+    """A path as text, also where its name is not valid Unicode."""
+    return str(path).encode("utf-8", "replace").decode()

@@ -1,0 +1,128 @@
+"""What the command line asks of `stylize` and `reconstruct`: checked, and its inputs loaded."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix
+from styl3r_cli.commands.options import STDOUT, WeightedStyle
+from styl3r_cli.console import Console
+from styl3r_cli.errors import InputError, UsageError
+from styl3r_cli.formats import scene_suffix
+from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
+from styl3r_cli.photos.load import DEFAULT_SIZE
+from styl3r_cli.pipeline import Stylizer
+
+
+@dataclass(frozen=True)
+class SceneRequest:
+    """The options of `stylize` and `reconstruct`, as the command line gave them.
+
+    `size` is (width, height), as people say it; `output` may be "-".
+    """
+
+    command: str
+    photos: tuple[str, ...]
+    styles: tuple[WeightedStyle, ...]
+    strength: float
+    output: str
+    video: Path | None
+    preview: Path | None
+    cameras_out: Path | None
+    cameras: Path | None
+    fov: float | None
+    size: tuple[int, int] | None
+    model: str
+    device: str
+    threads: int | None
+    json: bool
+    quiet: bool
+
+    @property
+    def scene_path(self) -> Path | None:
+        """Where the scene goes; None for standard output."""
+        return None if self.output == STDOUT else Path(self.output).expanduser()
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that is read before the network runs."""
+
+    stylizer: Stylizer
+    photos: Photos
+    styles: list[Style]
+
+
+def load_inputs(request: SceneRequest, console: Console) -> Inputs:
+    """Check the request, and load model, photos and styles (the model in a thread of its own).
+
+    Raises:
+        Styl3rError: whatever is wrong with the request or its files.
+    """
+    notes: list[str] = []
+    paths = expand(request.photos, notes)
+    _check(request, paths)
+    known = _known_cameras(request, paths, notes)
+    for note in notes:
+        console.note(note)
+
+    def load(size: tuple[int, int]) -> Photos:
+        return load_photos(paths, size, request.fov, known)
+
+    with ThreadPoolExecutor(1) as pool:
+        loading = pool.submit(Stylizer, request.model, request.device, request.threads)
+        with console.stage("photos"):
+            styles = [load_style(style.path) for style in request.styles]
+            size = request.size[::-1] if request.size else DEFAULT_SIZE
+            photos = load(size)
+        with console.stage("model"):
+            stylizer = loading.result()
+    if request.size is None and stylizer.model.input_size != size:
+        with console.stage("photos"):
+            photos = load(stylizer.model.input_size)
+    for note in [*photos.notes, *(note for style in styles for note in style.notes)]:
+        console.note(note)
+    return Inputs(stylizer, photos, styles)
+
+
+def _check(request: SceneRequest, photos: list[Path]) -> None:
+    """Refuse what could not end well, before any work."""
+    scene = request.scene_path
+    if scene is not None:
+        scene_suffix(scene)
+    elif request.json:
+        raise UsageError("--json and -o - both want standard output; give -o a file's name")
+    else:
+        check_stdout("-o -")
+    for option, path, suffix in (
+        ("--video", request.video, ".mp4"),
+        ("--preview", request.preview, ".png"),
+        ("--cameras-out", request.cameras_out, ".json"),
+    ):
+        if path is not None:
+            check_suffix(path, (suffix,), option)
+    outputs = (scene, request.video, request.preview, request.cameras_out)
+    read = [*photos, *(style.path for style in request.styles)]
+    if request.cameras is not None:
+        read.append(request.cameras)
+    check_outputs([path for path in outputs if path is not None], read)
+    for style in request.styles:
+        if not style.path.exists():
+            raise InputError(f"{style.path}: no such style picture")
+
+
+def _known_cameras(
+    request: SceneRequest, photos: list[Path], notes: list[str]
+) -> dict[Path, Camera] | None:
+    """The photos' intrinsics from a camera file, if one was given."""
+    if request.cameras is None:
+        return None
+    from styl3r_cli.cameras.transforms import cameras_of_photos, read_transforms
+
+    file = read_transforms(request.cameras)
+    found, missing = cameras_of_photos(file, photos, str(request.cameras))
+    notes += [*file.notes, *missing]
+    return found

@@ -1,0 +1,129 @@
+"""What `stylize` and `reconstruct` do: photos in; a scene, cameras, a video and a sheet out."""
+
+from __future__ import annotations
+
+from styl3r_cli import __version__
+from styl3r_cli.cameras.framing import uncropped
+from styl3r_cli.cameras.recover import Recovered, recover
+from styl3r_cli.cameras.stored import cameras_to_metadata
+from styl3r_cli.commands.report import print_report, scene_report
+from styl3r_cli.commands.request import Inputs, SceneRequest, load_inputs
+from styl3r_cli.console import Console
+from styl3r_cli.files import write_stdout
+from styl3r_cli.formats import encode_scene, write_scene
+from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.photos import Photos
+from styl3r_cli.pipeline import Scene
+
+# The video of `--video`; `styl3r render` has options for all of it.
+VIDEO_PATH = "wobble"
+VIDEO_FRAMES, VIDEO_FPS = 90, 30.0  # one loop of three seconds: slow enough to look around
+VIDEO_SIDE = 512  # Gaussians are smooth: twice the network's pixels look better than its own
+
+
+def make_scene(request: SceneRequest) -> None:
+    """Run the network and write every result that was asked for.
+
+    Raises:
+        Styl3rError: an input, the model or an output is unusable.
+    """
+    console = Console(request.quiet)
+    inputs = load_inputs(request, console)
+    with console.stage("structure"):
+        scene = inputs.stylizer.encode(inputs.photos)
+    with console.stage("appearance"):
+        pictures = [style.image for style in inputs.styles]
+        weights = [style.weight for style in request.styles]
+        gaussians, repairs = inputs.stylizer.gaussians(scene, pictures, weights, request.strength)
+    if str(repairs):
+        console.note(f"Gaussians repaired: {repairs}")
+    with console.stage("cameras"):
+        recovered = _recover(scene, inputs.photos, console)
+    with console.stage("write"):
+        _write(request, inputs, gaussians, recovered, console)
+    if request.video:
+        _film(request, gaussians, recovered, console)
+    if request.preview:
+        with console.stage("preview"):
+            _draw_sheet(request, inputs, scene, gaussians, recovered)
+    if request.json:
+        print_report(scene_report(request, inputs, gaussians, repairs, recovered, console))
+
+
+def _recover(scene: Scene, photos: Photos, console: Console) -> Recovered:
+    measured = photos.focals_measured
+    recovered = recover(scene.means, scene.opacities, scene.intrinsics, measured)
+    for note in recovered.notes:
+        console.note(note)
+    return recovered
+
+
+def _write(
+    request: SceneRequest,
+    inputs: Inputs,
+    gaussians: Gaussians,
+    recovered: Recovered,
+    console: Console,
+) -> None:
+    """The scene with its cameras, and the camera file."""
+    metadata = {
+        "generator": f"styl3r {__version__}",
+        "model": inputs.stylizer.model.name,
+        **cameras_to_metadata(recovered.cameras),
+    }
+    if request.scene_path is None:
+        encoded = encode_scene(gaussians, metadata)
+        write_stdout(encoded.data)
+    else:
+        encoded = write_scene(request.scene_path, gaussians, metadata)
+    for note in encoded.notes:
+        console.note(note)
+    if request.cameras_out:
+        from styl3r_cli.cameras.transforms import write_transforms
+
+        sizes = zip(recovered.cameras, inputs.photos.sizes, strict=True)
+        cameras = [uncropped(camera, *size) for camera, size in sizes]
+        write_transforms(request.cameras_out, cameras, [str(p) for p in inputs.photos.paths])
+
+
+def _film(
+    request: SceneRequest, gaussians: Gaussians, recovered: Recovered, console: Console
+) -> None:
+    """One loop of a camera swing."""
+    from styl3r_cli.cameras.paths import make_path
+    from styl3r_cli.frames import draw_path, enlarged
+    from styl3r_cli.video import write_video
+
+    assert request.video is not None
+    views = [enlarged(camera, VIDEO_SIDE) for camera in recovered.cameras]
+    cameras = make_path(VIDEO_PATH, views, gaussians, VIDEO_FRAMES)
+    with console.stage("video", len(cameras)) as drawn:
+        frames = draw_path(gaussians, cameras, threads=request.threads, drawn=drawn)
+        write_video(request.video, frames, VIDEO_FPS)
+
+
+def _draw_sheet(
+    request: SceneRequest,
+    inputs: Inputs,
+    scene: Scene,
+    gaussians: Gaussians,
+    recovered: Recovered,
+) -> None:
+    """The contact sheet; a stylized scene is drawn in its own colours too, to compare."""
+    from styl3r_cli.preview import Preview, write_preview
+
+    own = gaussians
+    if request.strength > 0:
+        own, _ = inputs.stylizer.gaussians(scene, strength=0)
+    preview = Preview(
+        images=scene.images,
+        names=inputs.photos.names,
+        styles=[style.image for style in inputs.styles],
+        style_names=[style.name for style in inputs.styles],
+        result=gaussians,
+        own=own,
+        cameras=recovered.cameras,
+    )
+    title = f"styl3r {request.command}: {len(preview.names)} photos, {len(gaussians):,} Gaussians"
+    assert request.preview is not None
+    write_preview(request.preview, preview, title, request.threads)

@@ -1,0 +1,47 @@
+"""`styl3r stylize`: photos and style pictures become a stylized scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from styl3r_cli.commands.options import StyleType, WeightedStyle, scene_options
+
+HELP = """\
+Make a stylized 3D scene from 2 to 8 photos of one place.
+
+PHOTOS are picture files, globs or a folder; of more than 8, a well-spread 8 are used.
+
+\b
+  styl3r stylize photos/ --style art.jpg -o scene.ply --video scene.mp4
+  styl3r stylize a.jpg b.jpg --style one.jpg=2 --style other.jpg=1 --strength 0.7 -o scene.ply
+  styl3r stylize photos/ --style art.jpg -o - | styl3r render - -o scene.mp4
+
+Existing results are replaced; a photo or a style is never overwritten.
+"""
+
+
+@click.command("stylize", help=HELP)
+@click.option(
+    "--style",
+    "-s",
+    "styles",
+    type=StyleType(),
+    multiple=True,
+    required=True,
+    help="A style picture; several are blended by their weights.",
+)
+@click.option(
+    "--strength",
+    type=click.FloatRange(0, 1),
+    default=1.0,
+    show_default=True,
+    help="How much of the style: 0 keeps the scene's own colours.",
+)
+@scene_options
+def command(styles: tuple[WeightedStyle, ...], strength: float, **options: Any) -> None:
+    """Make a stylized 3D scene from 2 to 8 photos of one place."""
+    from styl3r_cli.commands.scene import SceneRequest, make_scene
+
+    make_scene(SceneRequest(command="stylize", styles=styles, strength=strength, **options))
