@@ -1,0 +1,35 @@
+"""What each stage trains, on what, and by which losses."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from styl3r_export.curriculum.data import Batch
+from styl3r_export.curriculum.geometry import WEIGHTS, geometry_losses
+from styl3r_export.model import Styl3r
+
+# Parts that the geometry stage leaves alone: it makes neither Gaussians nor colours.
+APPEARANCE = ("token_stylizer.", "gaussian_appearance_head.")
+ATTRIBUTES = ("gaussian_param_head.",)
+# Present in every checkpoint, used by nothing.
+UNUSED = ("mask_token", "refinenet4.resConfUnit1")
+
+
+def used(name: str) -> bool:
+    """Whether any output depends on the parameter."""
+    return not any(part in name for part in UNUSED)
+
+
+def geometry_trains(name: str) -> bool:
+    """Everything that depth, cameras and matches depend on."""
+    return used(name) and not name.startswith(APPEARANCE + ATTRIBUTES)
+
+
+def geometry_step(model: Styl3r, batch: Batch) -> dict[str, Tensor]:
+    """Weighted losses of one batch of the geometry stage."""
+    content = model.encode(batch.images, batch.intrinsics)
+    out = model.decode_rays(content, batch.images, batch.intrinsics)
+    with torch.autocast(batch.images.device.type, enabled=False):
+        losses = geometry_losses(out, batch)
+    return {name: WEIGHTS[name] * value for name, value in losses.items()}

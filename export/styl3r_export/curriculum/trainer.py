@@ -1,0 +1,188 @@
+"""The loop that every stage shares: optimiser, schedule, checkpoints, log."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from styl3r_export.model import ModelConfig, Styl3r, build
+
+# Loss terms by name, already weighted; their sum is minimised.
+Step = Callable[[Styl3r, Any], dict[str, Tensor]]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long to train and how fast (the published optimiser's shape, spec section 11)."""
+
+    steps: int
+    learning_rate: float = 3e-4  # of new parameters
+    pretrained_factor: float = 0.3  # what was trained elsewhere moves slower
+    warm_up: int = 100
+    final_factor: float = 0.05  # the cosine ends at this fraction
+    weight_decay: float = 0.05
+    betas: tuple[float, float] = (0.9, 0.95)
+    clip: float = 1.0  # gradient norm
+    average: float = 0.999  # of the moving average of the weights that checkpoints hold
+    checkpoint_every: float = 120.0  # seconds
+
+    def factor(self, step: int) -> float:
+        """Learning rate at a step, as a fraction of its peak."""
+        if step < self.warm_up:
+            return (step + 1) / self.warm_up
+        done = min(1.0, (step - self.warm_up) / max(1, self.steps - self.warm_up))
+        cosine = (1 + math.cos(math.pi * done)) / 2
+        return self.final_factor + (1 - self.final_factor) * cosine
+
+
+class Trainer:
+    """One stage's run in a folder; started again, it goes on from its last checkpoint."""
+
+    def __init__(
+        self,
+        folder: Path,
+        schedule: Schedule,
+        trainable: Callable[[str], bool],
+        *,
+        start: Path | None = None,
+        config: str = "mini",
+        device: str = "cpu",
+        pretrained: Callable[[str], bool] = lambda name: name.startswith("backbone.stem."),
+    ) -> None:
+        self.folder = folder
+        self.schedule = schedule
+        folder.mkdir(parents=True, exist_ok=True)
+        self.device = torch.device(device)
+        self.step = 0
+        resume = folder / "last.pt"
+        source = resume if resume.exists() else start
+        state = load_checkpoint(source) if source else None
+        model_config = ModelConfig.from_dict(state["config"]) if state else None
+        self.model = build(model_config or config).to(self.device)
+        if state:
+            self.model.load_state_dict(state["training"] if source == resume else state["model"])
+        self.model.train()
+        for name, parameter in self.model.named_parameters():
+            parameter.requires_grad_(trainable(name))
+        self.frozen = {
+            n: p.detach().clone() for n, p in self.model.named_parameters() if not p.requires_grad
+        }
+        self.average = {n: p.detach().clone() for n, p in self.model.state_dict().items()}
+        self.optimiser = self._optimiser(pretrained)
+        if state and source == resume:
+            self.average = {n: p.to(self.device) for n, p in state["model"].items()}
+            self.optimiser.load_state_dict(state["optimiser"])
+            self.step = state["step"]
+
+    def _optimiser(self, pretrained: Callable[[str], bool]) -> torch.optim.AdamW:
+        groups: dict[tuple[bool, bool], list[Tensor]] = {}
+        for name, parameter in self.model.named_parameters():
+            if parameter.requires_grad:
+                key = (pretrained(name), parameter.ndim > 1)
+                groups.setdefault(key, []).append(parameter)
+        s = self.schedule
+        return torch.optim.AdamW(
+            [
+                {
+                    "params": parameters,
+                    "peak": s.learning_rate * (s.pretrained_factor if old else 1.0),
+                    "weight_decay": s.weight_decay if matrix else 0.0,
+                }
+                for (old, matrix), parameters in groups.items()
+            ],
+            lr=s.learning_rate,
+            betas=s.betas,
+        )
+
+    def run(
+        self, data: Iterator[Any], step: Step, *, seconds: float = math.inf, log_every: int = 20
+    ) -> None:
+        """Train until the schedule or the time ends; checkpoints and log lines on the way."""
+        began = saved = time.monotonic()
+        first_step, sums = self.step, {}
+        while self.step < self.schedule.steps and time.monotonic() - began < seconds:
+            for name, value in self._train_step(next(data), step).items():
+                sums[name] = sums.get(name, 0.0) + value
+            if self.step % log_every == 0:
+                pace = (self.step - first_step) / (time.monotonic() - began)
+                self._log({n: v / log_every for n, v in sums.items()}, pace)
+                sums = {}
+            if time.monotonic() - saved > self.schedule.checkpoint_every:
+                self.save()
+                saved = time.monotonic()
+        self.save()
+
+    def _train_step(self, batch: Any, step: Step) -> dict[str, float]:
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["peak"] * self.schedule.factor(self.step)
+        # bfloat16 needs no loss scaling, and is several times faster on CPUs and GPUs that
+        # have matrix units for it; losses and activations of the heads stay in float32.
+        with torch.autocast(self.device.type, torch.bfloat16):
+            terms = step(self.model, batch)
+        total = torch.stack(list(terms.values())).sum()
+        self.optimiser.zero_grad(set_to_none=True)
+        total.backward()
+        parameters = [p for g in self.optimiser.param_groups for p in g["params"]]
+        norm = torch.nn.utils.clip_grad_norm_(parameters, self.schedule.clip)
+        if torch.isfinite(norm):
+            self.optimiser.step()
+            self._update_average()
+        self.step += 1
+        return {n: float(v.detach()) for n, v in terms.items()} | {"norm": float(norm)}
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        decay = min(self.schedule.average, (self.step + 1) / (self.step + 10))
+        for name, value in self.model.state_dict().items():
+            self.average[name].lerp_(value, 1 - decay)
+
+    def assert_frozen(self) -> None:
+        """Raise if a parameter that must not be trained has moved."""
+        for name, parameter in self.model.named_parameters():
+            if name in self.frozen and not torch.equal(parameter, self.frozen[name]):
+                raise AssertionError(f"{name} moved, though this stage must not train it")
+
+    def save(self) -> None:
+        """Write `last.pt`: averaged weights as `model`, and all that resuming needs."""
+        self.assert_frozen()
+        state = {
+            "config": self.model.config.to_dict(),
+            "model": self.average,
+            "training": self.model.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "step": self.step,
+        }
+        partial = self.folder / "last.pt.partial"
+        torch.save(state, partial)
+        os.replace(partial, self.folder / "last.pt")
+
+    def _log(self, terms: dict[str, float], pace: float) -> None:
+        left = (self.schedule.steps - self.step) / max(pace, 1e-9)
+        text = " ".join(f"{name} {value:.4f}" for name, value in terms.items())
+        print(
+            f"step {self.step}/{self.schedule.steps} {pace:.2f}/s {left / 60:.0f} min left | {text}",
+            file=sys.stderr,
+            flush=True,
+        )
+        log = self.folder / "log.csv"
+        new = not log.exists()
+        with log.open("a", newline="") as file:
+            writer = csv.writer(file)
+            if new:
+                writer.writerow(["step", *terms])
+            writer.writerow([self.step, *(f"{v:.5f}" for v in terms.values())])
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """A checkpoint of this project, without executing anything in it."""
+    return torch.load(path, map_location="cpu", weights_only=True)
