@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+import sys
+import time
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -156,3 +161,31 @@ def test_impossible_input_is_one_line(tiny_model: Path) -> None:
 
 def test_cores_are_those_this_process_may_use() -> None:
     assert available_cores() >= 1
+
+
+# Counts to a number that no machine reaches while the test runs.
+ENDLESS_GRAPH = """
+<ir_version: 10, opset_import: ["" : 18]>
+endless (float[N] x) => (float[N] y)
+{
+  trips = Constant <value_int = 1000000000000> ()
+  true = Constant <value_int = 1> ()
+  on = Cast <to = 9> (true)
+  y = Loop (trips, on, x) <body = step (int64 i, bool go, float[N] a) => (bool go_on, float[N] b) {
+    go_on = Identity (go)
+    b = Sin (a)
+  }>
+}
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_ctrl_c_ends_a_run(tmp_path: Path) -> None:
+    path = tmp_path / "endless.onnx"
+    path.write_bytes(parse_graph(ENDLESS_GRAPH).SerializeToString())
+    graph = Graph.load(path, "cpu", threads=1)
+    Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    start = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        graph({"x": np.ones(4)})
+    assert time.perf_counter() - start < 10
