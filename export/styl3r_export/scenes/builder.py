@@ -117,11 +117,19 @@ TEXTURES_PER_SCENE = 18
 
 @dataclass
 class SceneBuilder:
-    """A scene in the making."""
+    """A scene in the making.
+
+    Attributes:
+        rng: random source.
+        bank: where pictures come from.
+        photo: share of photos among the pictures.
+        calm: 0 covers nearly everything with pictures, 1 leaves most surfaces plain.
+    """
 
     rng: np.random.Generator
     bank: TextureBank
     photo: float = 0.65
+    calm: float = 0.0
     meshes: list[Mesh] = field(default_factory=list)
     materials: list[Material] = field(default_factory=list)
     pictures: list[NDArray[np.uint8]] = field(default_factory=list)
@@ -149,6 +157,8 @@ class SceneBuilder:
             fixed: fields to set as given.
         """
         rng = self.rng
+        if 0.0 < plain < 1.0:
+            plain = plain + self.calm * max(0.8 - plain, 0.0)
         is_plain = rng.random() < plain
         tint = colour(rng) ** 2.2 if is_plain else np.exp(rng.normal(0, 0.12, 3))
         values: dict[str, object] = {

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_export.scenes.builder import Material, SceneBuilder
-from styl3r_export.scenes.meshes import Mesh, blob, box, cylinder, merged, quad, spin
+from styl3r_export.scenes.meshes import Mesh, box, merged, quad, spin
+from styl3r_export.scenes.solids import blob, cylinder
 from styl3r_export.scenes.things import add_thing, leafage, vessel
 
 Vector = NDArray[np.float64]

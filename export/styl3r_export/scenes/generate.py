@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 from styl3r_export.scenes import indoors, outdoors
 from styl3r_export.scenes.builder import Scene, SceneBuilder, Stage
 from styl3r_export.scenes.lighting import light_maps, look_at
-from styl3r_export.scenes.paths import MIN_OVERLAP, camera_path, draw_field_of_view, overlap
+from styl3r_export.scenes.paths import (
+    MIN_OVERLAP,
+    camera_path,
+    draw_baseline,
+    draw_field_of_view,
+    overlap,
+)
 from styl3r_export.scenes.photometry import Shot, develop, draw_shots, exposure
 from styl3r_export.scenes.render import render
 from styl3r_export.scenes.textures import TextureBank
@@ -22,15 +28,21 @@ KINDS: dict[str, tuple[Callable[[SceneBuilder], Stage], float]] = {
     "street": (outdoors.street, 0.14),
     "garden": (outdoors.garden, 0.13),
     "relief": (outdoors.relief, 0.08),
-    "clutter": (outdoors.clutter, 0.07),
+    "clutter": (indoors.clutter, 0.07),
 }
+#: Odds of scenes with pictures everywhere, with some plain surfaces, with mostly plain ones.
+CALM_ODDS = (0.55, 0.33, 0.12)
 #: Side of the depth maps that decide whether a path is any good.
 SCOUT_SIDE = 40
 #: Nothing may be nearer than this share of the median depth (2nd percentile).
 NEAREST = 0.12
+#: A first view that shows fewer parts is a bare wall; only a tenth of those is kept.
+MIN_PARTS = 4
 #: Paths tried in one scene, and scenes tried for one seed.
-PATH_TRIES = 40
+PATH_TRIES = 60
 SCENE_TRIES = 20
+#: After this many failures a path is shortened by this factor.
+SHORTEN_AFTER, SHORTER = 12, 0.7
 
 
 @dataclass(frozen=True)
@@ -66,7 +78,13 @@ class _Scout:
         inverse = np.empty((SCOUT_SIDE, SCOUT_SIDE), np.float32)
         lens = (self.focal, self.focal, SCOUT_SIDE / 2, SCOUT_SIDE / 2)
         first_hits(to_camera(self.scene.vertices, extrinsics), lens, inverse, self.hits)
-        return 1 / np.maximum(inverse, 1e-6)
+        return np.reciprocal(np.maximum(inverse, 1e-6))
+
+    def parts_in_sight(self, extrinsics: NDArray[np.float64]) -> int:
+        """How many parts of the scene can be made out."""
+        self.depth(extrinsics)
+        seen = np.bincount(self.scene.parts[self.hits[self.hits >= 0]])
+        return int((seen >= 4).sum())
 
     def ahead(self, eye: NDArray[np.float64], target: NDArray[np.float64]) -> float:
         """Median depth from a viewpoint; 0 if something blocks it."""
@@ -80,11 +98,17 @@ def _cameras(
 ) -> NDArray[np.float64] | None:
     """A path whose views are unblocked and overlap with the first, or None."""
     scout = _Scout(scene, focal * SCOUT_SIDE)
-    for _ in range(PATH_TRIES):
-        path = camera_path(rng, stage, scout.ahead, views)
+    # The length is drawn once: drawing it anew after each failure would favour short ones.
+    baseline = draw_baseline(rng)
+    for attempt in range(PATH_TRIES):
+        if attempt and attempt % SHORTEN_AFTER == 0:
+            baseline *= SHORTER
+        path = camera_path(rng, stage, scout.ahead, baseline, views)
         if path is None:
             continue
         depths = np.stack([scout.depth(e) for e in path])
+        if scout.parts_in_sight(path[0]) < MIN_PARTS and rng.random() < 0.9:
+            continue
         middles = np.median(depths, axis=(1, 2))
         blocked = np.percentile(depths, 2, axis=(1, 2)) < NEAREST * middles
         if blocked.any() or middles.max() > 60 or middles.max() > 4 * middles.min():
@@ -117,12 +141,13 @@ def generate(
         RuntimeError: no scene with overlapping views was found for this seed.
     """
     bank = TextureBank.procedural(0) if textures is None else textures
+    odds = np.array([share for _, share in KINDS.values()])
+    drawn = np.random.default_rng(seed).choice(len(KINDS), p=odds / odds.sum())
+    name = kind or list(KINDS)[int(drawn)]
     for attempt in range(SCENE_TRIES):
         rng = np.random.default_rng([seed, attempt])
-        names = list(KINDS)
-        odds = np.array([KINDS[name][1] for name in names])
-        name = kind or names[int(rng.choice(len(names), p=odds / odds.sum()))]
-        builder = SceneBuilder(rng, bank)
+        calm = float(rng.choice([0.0, 0.4, 0.9], p=CALM_ODDS))
+        builder = SceneBuilder(rng, bank, calm=calm)
         stage = KINDS[name][0](builder)
         scene = builder.finished()
         focal = 0.5 / np.tan(draw_field_of_view(rng) / 2)
@@ -141,7 +166,7 @@ def _photographed(
     lens = (focal * shorter, focal * shorter, width / 2, height / 2)
     maps = light_maps(scene, stage.low, stage.high)
     rendered = [render(scene, maps, extrinsics, lens, size) for extrinsics in path]
-    factor = np.float32(exposure(rendered[0][0], rng))
+    factor = exposure(rendered[0][0], rng)
     shots = draw_shots(rng, len(path)) if photometric else [Shot()] * len(path)
     images = [
         develop(factor * linear, shot, rng)

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from styl3r_export.scenes.builder import Light, SceneBuilder, Stage
 from styl3r_export.scenes.furniture import add_piece
-from styl3r_export.scenes.meshes import Mesh, box, cylinder, merged, quad, spin
+from styl3r_export.scenes.meshes import Mesh, box, merged, quad, spin
+from styl3r_export.scenes.solids import cylinder
 from styl3r_export.scenes.things import add_thing
 
 Vector = NDArray[np.float64]
@@ -13,8 +14,8 @@ Vector = NDArray[np.float64]
 
 def warm_white(rng: np.random.Generator) -> Vector:
     """Colour of a lamp or of daylight: along the black body line, normalised green."""
-    warmth = rng.normal(0.1, 0.25)
-    return np.array([np.exp(warmth), 1.0, np.exp(-1.2 * warmth)])
+    warmth = rng.normal(0.08, 0.2)
+    return np.array([np.exp(0.8 * warmth), 1.0, np.exp(-1.3 * warmth)])
 
 
 def room_lights(builder: SceneBuilder, size: Vector) -> None:
@@ -42,8 +43,15 @@ def room_lights(builder: SceneBuilder, size: Vector) -> None:
         middle = np.array([0, 0, z / 3])
         strength = rng.uniform(0.3, 1.6)
         builder.lights.append(
-            Light(middle + toward * reach, middle, spread, warm_white(rng) * strength, False, rng.uniform(0.8, 10))
-        )  # fmt: skip
+            Light(
+                middle + toward * reach,
+                middle,
+                spread,
+                warm_white(rng) * strength,
+                False,
+                rng.uniform(0.8, 10),
+            )
+        )
 
 
 def _wall_fittings(
@@ -93,7 +101,7 @@ def _wall_fittings(
             builder.add(panel(centre, z, w, 0.03, 0.4), builder.material(1.0))
             for _ in range(int(rng.integers(1, 5))):
                 spot = start + along * (x + rng.uniform(0.1, 0.9) * w) + inward * 0.1
-                add_thing(builder, spot + [0, 0, z + 0.015], rng.uniform(0.1, 0.35))
+                add_thing(builder, spot + np.array([0, 0, z + 0.015]), rng.uniform(0.1, 0.35))
         x += w + rng.uniform(0.1, 1.2)
 
 
@@ -107,7 +115,7 @@ def room(builder: SceneBuilder) -> Stage:
     ceiling = quad((-hx, -hy, z), (0, 2 * hy, 0), (2 * hx, 0, 0))
     builder.add(ceiling, builder.material(2.0, plain=0.7, casts=False))
     corners = np.array([[-hx, -hy, 0], [hx, -hy, 0], [hx, hy, 0], [-hx, hy, 0]])
-    shared = builder.material(2.0, plain=0.5, casts=False)
+    shared = builder.material(2.0, plain=0.6, casts=False)
     for k in range(4):
         start, end = corners[k], corners[(k + 1) % 4]
         wide = float(np.linalg.norm(end - start))
@@ -127,7 +135,7 @@ def room(builder: SceneBuilder) -> Stage:
     for _ in range(int(rng.integers(1, 5))):
         spot = np.array([rng.uniform(-0.5, 0.5) * hx, rng.uniform(-0.5, 0.5) * hy, 0])
         add_piece(builder, spot, rng.uniform(0, 2 * np.pi))
-        spots.append(spot + [0, 0, 0.7])
+        spots.append(spot + np.array([0, 0, 0.7]))
     if rng.random() < 0.4:
         rug = cylinder(1.0, 0.012) if rng.random() < 0.3 else box((2.0, 1.4, 0.02))
         builder.add(
@@ -188,10 +196,31 @@ def tabletop(builder: SceneBuilder) -> Stage:
 
     def viewpoint(draw: np.random.Generator) -> tuple[Vector, Vector]:
         turn, climb = draw.uniform(0, 2 * np.pi), draw.uniform(0.12, 1.0)
-        distance = main * draw.uniform(1.6, 4.5)
+        distance = main * draw.uniform(1.4, 3.6)
         centre = np.array([*draw.normal(0, 0.06, 2), main * draw.uniform(0.2, 0.6)])
         away = np.array([np.cos(turn) * np.cos(climb), np.sin(turn) * np.cos(climb), np.sin(climb)])
         return centre + distance * away, centre
 
     low, high = np.array([-reach, -reach, 0.06]), np.array([reach, reach, 2.2])
     return Stage(viewpoint, low, high, orbit=0.8)
+
+
+def clutter(builder: SceneBuilder) -> Stage:
+    """A heap of unrelated shapes in a box of pictures: nothing to recognise, all geometry."""
+    rng = builder.rng
+    reach = 4.0
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            origin, u, v = np.full(3, -reach), np.zeros(3), np.zeros(3)
+            origin[axis] = side * reach
+            u[(axis + 1) % 3] = v[(axis + 2) % 3] = 2 * reach
+            builder.add(quad(origin, u, v), builder.material(4.0, plain=0.1, casts=False))
+    for _ in range(int(rng.integers(12, 40))):
+        at, size = rng.uniform(-2.6, 2.6, 3), float(np.exp(rng.uniform(-1.8, 0.3)))
+        add_thing(builder, at, size)
+    room_lights(builder, np.array([6.0, 6.0, 4.0]))
+
+    def viewpoint(draw: np.random.Generator) -> tuple[Vector, Vector]:
+        return draw.uniform(-3.4, 3.4, 3), draw.normal(0, 0.6, 3)
+
+    return Stage(viewpoint, np.full(3, -3.6), np.full(3, 3.6), orbit=0.5)

@@ -12,8 +12,8 @@ Vector = NDArray[np.float64]
 
 #: Horizontal field of view of a square centre crop, degrees: phones and cameras, few wide ones.
 FIELD_OF_VIEW = (34.0, 68.0)
-#: First to last camera over the median depth; log-uniform. Overlap decides what survives.
-BASELINE = (0.05, 0.9)
+#: First to last camera over the median depth, log-uniform: what casual photos of one thing span.
+BASELINE = (0.12, 1.3)
 #: Share of the first view's pixels that every other view must see.
 MIN_OVERLAP = 0.35
 #: Points this much deeper than the surface seen there are hidden (relative depth).
@@ -26,10 +26,16 @@ def draw_field_of_view(rng: np.random.Generator) -> float:
     return float(np.radians(low + (high - low) * rng.beta(1.6, 1.9)))
 
 
+def draw_baseline(rng: np.random.Generator) -> float:
+    """Length of the movement over the median depth."""
+    return float(np.exp(rng.uniform(*np.log(BASELINE))))
+
+
 def camera_path(
     rng: np.random.Generator,
     stage: Stage,
     depth_ahead: Callable[[Vector, Vector], float],
+    baseline: float,
     views: int,
 ) -> NDArray[np.float64] | None:
     """World-to-camera matrices (V, 4, 4) along one movement, or None if it starts badly.
@@ -38,6 +44,7 @@ def camera_path(
         rng: random source.
         stage: where cameras may be.
         depth_ahead: median scene depth seen from an (eye, target), 0 where a camera is blocked.
+        baseline: first to last camera over the median depth.
         views: how many.
     """
     eye, target = stage.viewpoint(rng)
@@ -46,7 +53,7 @@ def camera_path(
         return None
     toward = (target - eye) / np.linalg.norm(target - eye)
     pivot = eye + toward * depth
-    extent = depth * float(np.exp(rng.uniform(*np.log(BASELINE))))
+    extent = depth * baseline
     eyes = _positions(rng, stage, eye, toward, pivot, extent, views)
     follow = _follow(rng, stage)
     steady, wobble = rng.random() < 0.3, np.radians(rng.uniform(0.3, 3.0))
@@ -87,7 +94,7 @@ def _positions(
         eyes = eye + steps[:, None] * extent * 0.8 * ahead
     elif kind < 0.2 + 0.5 * stage.orbit + 0.1:  # an arc about the pivot
         arm = eye - pivot
-        angles = side * steps * min(extent / np.linalg.norm(arm), 1.6)
+        angles = side * steps * min(extent / float(np.linalg.norm(arm)), 1.6)
         c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
         flat = arm * [1, 1, 0]
         turned = c * flat + s * np.cross([0, 0, 1.0], flat) + arm * [0, 0, 1]

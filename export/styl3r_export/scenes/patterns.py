@@ -8,16 +8,22 @@ from numpy.typing import NDArray
 
 from styl3r_export.scenes.noise import spectral
 
+#: Hues by their sixth of the colour wheel (0 red, 2 green, 4 blue) with spreads: warm, foliage,
+#: blue, any; and how often each is met among things people photograph.
+HUES = [(0.6, 0.3), (1.4, 0.4), (3.6, 0.4), (0.0, 6.0)]
+HUE_ODDS = [0.48, 0.15, 0.19, 0.18]
 #: Side of a texture picture in pixels.
 SIDE = 256
-Picture = NDArray[np.float32]
+Picture = NDArray[np.floating]
 
 
 def colour(rng: np.random.Generator, vivid: float | None = None) -> NDArray[np.float32]:
     """A random sRGB colour; most are muted, as things in rooms and streets are."""
-    vivid = float(rng.beta(1.1, 3.2)) if vivid is None else vivid
+    vivid = float(rng.beta(1.1, 2.8)) if vivid is None else vivid
     value = rng.uniform(0.12, 0.95)
-    hue = rng.uniform(0, 6)
+    # Sixths of the colour wheel: wood, skin and stone are orange, skies blue, plants green.
+    centre, width = HUES[int(rng.choice(len(HUES), p=HUE_ODDS))]
+    hue = rng.normal(centre, width) % 6
     wheel = np.clip(np.abs((hue + np.array([0.0, 4.0, 2.0])) % 6 - 3) - 1, 0, 1)
     return (value * (1 - vivid + vivid * wheel)).astype(np.float32)
 
@@ -36,7 +42,7 @@ def clouds(rng: np.random.Generator) -> Picture:
     """Noise through a ramp of a few colours: stone, rust, plaster, moss."""
     field = spectral(rng, (SIDE, SIDE), slope=rng.uniform(0.8, 1.8), lowest=rng.uniform(1, 5))
     if rng.random() < 0.4:  # veins
-        field = 1.5 - 3 * np.abs(field)
+        field = (1.5 - 3 * np.abs(field)).astype(np.float32)
     stops = np.sort(rng.uniform(-1.8, 1.8, 4))
     base = colour(rng)
     ramp = np.array([0.6 * base + 0.4 * colour(rng) for _ in stops])
@@ -69,7 +75,7 @@ def planks(rng: np.random.Generator) -> Picture:
     tint = np.array([0.62, 0.43, 0.26], np.float32) * rng.uniform(0.35, 1.45)
     tint = 0.75 * tint + 0.25 * colour(rng)
     grain = spectral(rng, (SIDE, SIDE // 16), slope=0.7)
-    grain = cv2.resize(grain, (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+    grain = np.asarray(cv2.resize(grain, (SIDE, SIDE), interpolation=cv2.INTER_CUBIC), np.float32)
     waves = spectral(rng, (SIDE, SIDE), slope=2.0)
     y = np.mgrid[0:SIDE, 0:SIDE][0] / SIDE
     rings = np.sin(2 * np.pi * (rng.uniform(6, 30) * y + rng.uniform(0.3, 1.5) * waves))
@@ -92,7 +98,7 @@ def stripes(rng: np.random.Generator) -> Picture:
     if kind < 0.45:
         picture = np.broadcast_to(line[None], (SIDE, SIDE, 3)).copy()
     elif kind < 0.75:
-        picture = (line[None] + line[:, None]) / 2
+        picture = ((line[None] + line[:, None]) / 2).astype(np.float32)
     else:
         checks = (t[:, None] + t[None]) % len(bands)
         picture = np.array(bands)[checks]

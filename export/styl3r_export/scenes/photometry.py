@@ -6,6 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+#: Geometric mean brightness of a picture (linear, before the tone curve): night to glare.
+KEY = (0.09, 0.34)
+
 
 @dataclass(frozen=True)
 class Shot:
@@ -14,15 +17,19 @@ class Shot:
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
     blur: float = 0.0
     vignette: float = 0.0
+    contrast: float = 1.0
+    sharpen: float = 0.0
     noise: float = 0.0
     jpeg: int = 0
 
 
-def exposure(linear: NDArray[np.float32], rng: np.random.Generator) -> float:
-    """A factor that brings a linear picture to a usual brightness, as a camera's metering does."""
-    bright = np.minimum(linear, 4.0).mean(-1)
-    level = float(np.exp(np.log(bright + 0.02).mean()))
-    return float(rng.uniform(0.14, 0.3)) / level
+def exposure(linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+    """(3,) factors to a usual brightness and a greyer mean, as a camera's automatics do."""
+    bright = np.minimum(linear, 4.0)
+    level = float(np.exp(np.log(bright.mean(-1) + 0.02).mean()))
+    mean = bright.mean((0, 1)) + 1e-3
+    balance = (mean.mean() / mean) ** rng.uniform(0.3, 0.8)
+    return (np.exp(rng.uniform(*np.log(KEY))) / level * balance).astype(np.float32)
 
 
 def draw_shots(rng: np.random.Generator, views: int) -> list[Shot]:
@@ -31,17 +38,18 @@ def draw_shots(rng: np.random.Generator, views: int) -> list[Shot]:
     cast = float(rng.choice([0.0, 0.01, 0.04], p=[0.3, 0.5, 0.2]))
     base = np.exp(rng.normal(0, 0.06, 3))
     blur, vignette = float(rng.choice([0.0, 0.35, 0.7])), float(rng.uniform(0, 0.25))
+    contrast, sharpen = float(rng.uniform(1.0, 1.35)), float(rng.choice([0.0, 0.3, 0.8]))
     noise, jpeg = float(rng.choice([0.0, 0.008, 0.025])), int(rng.choice([0, 92, 75]))
     shots = []
     for _ in range(views):
         gain = base * np.exp(rng.normal(0, drift) + rng.normal(0, cast, 3))
-        shots.append(Shot(tuple(gain.tolist()), blur, vignette, noise, jpeg))
+        shots.append(Shot(tuple(gain.tolist()), blur, vignette, contrast, sharpen, noise, jpeg))
     return shots
 
 
 def tone(linear: NDArray[np.float32]) -> NDArray[np.float32]:
     """SRGB in [0, 1] from linear light with a soft shoulder instead of hard clipping."""
-    x = 1.0 - np.exp(-1.25 * np.maximum(linear, 0.0))
+    x = 1.0 - np.exp(-1.25 * np.maximum(linear, np.float32(0)))
     return np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
@@ -49,15 +57,21 @@ def develop(
     linear: NDArray[np.float32], shot: Shot, rng: np.random.Generator
 ) -> NDArray[np.float32]:
     """One exposed linear picture (H, W, 3) to sRGB (H, W, 3) in [0, 1]."""
-    image = linear * np.asarray(shot.gain, np.float32)
+    image: NDArray[np.floating] = linear * np.asarray(shot.gain, np.float32)
     height, width = image.shape[:2]
     if shot.blur > 0:
-        image = cv2.GaussianBlur(image, (0, 0), shot.blur * min(height, width) / 256)
+        sigma = shot.blur * min(height, width) / 256
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32)
     if shot.vignette > 0:
         y, x = np.mgrid[0:height, 0:width].astype(np.float32)
         r2 = ((x / width - 0.5) ** 2 + (y / height - 0.5) ** 2) * 2
         image = image * (1 - shot.vignette * r2[..., None] ** 1.5)
-    image = tone(image)
+    image = tone(image.astype(np.float32))
+    if shot.contrast != 1.0:  # about middle grey
+        image = 0.45 + shot.contrast * (image - 0.45)
+    if shot.sharpen > 0:
+        smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+        image = image + shot.sharpen * (image - smooth)
     if shot.noise > 0:
         grain = rng.standard_normal(image.shape, dtype=np.float32) * shot.noise
         image = image + grain * (0.4 + 0.6 * (1 - image))
@@ -65,6 +79,6 @@ def develop(
     if shot.jpeg:
         codes = (image[..., ::-1] * 255 + 0.5).astype(np.uint8)
         _, data = cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, shot.jpeg])
-        decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+        decoded = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1]
         image = decoded.astype(np.float32) / 255
-    return image
+    return image.astype(np.float32)

@@ -94,5 +94,6 @@ def pyramids(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
         for start in LEVEL_STARTS:
             out[k, start : start + level.shape[0] ** 2] = level.reshape(-1, 3)
             half = max(level.shape[0] // 2, 1)
-            level = cv2.resize(level, (half, half), interpolation=cv2.INTER_AREA)
+            smaller = cv2.resize(level, (half, half), interpolation=cv2.INTER_AREA)
+            level = np.asarray(smaller, np.uint8)
     return out

@@ -6,21 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_export.scenes.builder import SceneBuilder
-from styl3r_export.scenes.meshes import (
-    Mesh,
-    blob,
-    box,
-    cylinder,
-    lathe,
-    merged,
-    random_turn,
-    spin,
-    surface,
-    torus,
-    tube,
-)
+from styl3r_export.scenes.meshes import QUAD, Mesh, box, merged, random_turn, spin, surface
+from styl3r_export.scenes.solids import blob, cylinder, lathe, torus, tube
 
 Vector = NDArray[np.float64]
+#: Corners of a leaf in its texture.
+QUAD_UV = np.array([[0.0, 1.0], [1.0, 0.5], [2.0, 1.0], [1.0, 1.5]])
 
 
 def lump(rng: np.random.Generator, radii: Vector, roughness: float, rings: int = 16) -> Mesh:
@@ -105,14 +96,38 @@ def leafage(rng: np.random.Generator, height: float, count: int = 24) -> Mesh:
         half = wide * np.sin(np.pi * np.clip(t * 0.92 + 0.06, 0, 1)) * rng.uniform(0.7, 1.3)
         middle = np.stack([out, 0 * t, up], 1)
         side = np.stack([0 * t, half, 0.3 * half], 1)
-        sheet = np.stack(
-            [middle - side, middle - [0, 0, 1] * half[:, None] * 0.3, middle + side], 1
-        )
+        rib = middle - half[:, None] * np.array([0, 0, 0.3])
+        sheet = np.stack([middle - side, rib, middle + side], 1)
         parts.append(surface(sheet).placed((0, 0, 0), spin(turn)))
     if stem:
         line = np.array([[0, 0, 0], [0.01, 0, stem / 2], [0, 0.01, stem]]) * height
         parts.append(tube(line, 0.03 * height, 6))
     return merged(parts)
+
+
+def foliage(rng: np.random.Generator, radii: Vector, count: int, leaf: float) -> Mesh:
+    """A bush or crown: many small leaves in an ellipsoid, shaded as one soft body."""
+    out = rng.normal(size=(count, 3))
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    middle = out * radii * rng.uniform(0.25, 1.0, (count, 1)) ** 0.5
+    along = rng.normal(size=(count, 3))
+    along *= leaf / np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, rng.normal(size=(count, 3)))
+    across *= 0.5 * leaf / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    corners = np.stack([middle - along, middle + across, middle + along, middle - across], 1)
+    facing = np.cross(across, along)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
+    facing *= np.sign((facing * out).sum(1, keepdims=True))
+    normals = 0.5 * facing + out
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    uv = rng.uniform(0, 4 * leaf, (count, 1, 2)) + leaf * QUAD_UV
+    index = QUAD.reshape(-1)
+
+    def soup(x: Vector, width: int) -> NDArray[np.float32]:
+        return x[:, index].reshape(-1, 3, width).astype(np.float32)
+
+    normals = np.broadcast_to(normals[:, None], corners.shape)
+    return Mesh(soup(corners, 3), soup(normals, 3), soup(uv, 2))
 
 
 def wire(rng: np.random.Generator, size: float) -> Mesh:
@@ -152,21 +167,40 @@ def pile(rng: np.random.Generator, size: float) -> Mesh:
     return merged(parts)
 
 
+def _bush(rng: np.random.Generator, size: float) -> Mesh:
+    radii = size * rng.uniform(0.3, 0.5, 3)
+    leaf = size * rng.uniform(0.03, 0.09)
+    return foliage(rng, radii, int(rng.integers(80, 400)), leaf).placed((0, 0, radii[2]))
+
+
+def _rock(rng: np.random.Generator, size: float) -> Mesh:
+    radii = size * rng.uniform(0.25, 0.5, 3)
+    return lump(rng, radii, rng.uniform(0.1, 0.6), 20).placed((0, 0, 0.8 * radii[2]))
+
+
+def _pot(rng: np.random.Generator, size: float) -> Mesh:
+    return vessel(rng, size * rng.uniform(0.15, 0.45), size)
+
+
+def _plant(rng: np.random.Generator, size: float) -> Mesh:
+    return leafage(rng, size, int(rng.integers(8, 36)))
+
+
+def _drum(rng: np.random.Generator, size: float) -> Mesh:
+    cone = rng.random() < 0.4
+    radius, height = size * rng.uniform(0.1, 0.4), size * rng.uniform(0.2, 1.0)
+    return cylinder(radius, height, 0.0 if cone else None)
+
+
+def _ring(rng: np.random.Generator, size: float) -> Mesh:
+    thick = size * rng.uniform(0.04, 0.16)
+    return torus(0.38 * size, thick).placed((0, 0, thick))
+
+
 #: Maker of a thing of a given size standing on z = 0, and how often it is chosen.
 THINGS: list[tuple[Callable[[np.random.Generator, float], Mesh], float]] = [
-    (book, 3),
-    (lambda rng, s: vessel(rng, s * rng.uniform(0.15, 0.45), s), 3),
-    (ball, 2),
-    (lambda rng, s: lump(rng, s * rng.uniform(0.25, 0.5, 3), rng.uniform(0.1, 0.6), 20).placed((0, 0, 0.3 * s)), 3),
-    (figure, 2.5),
-    (bolt, 2),
-    (chest, 1.5),
-    (lambda rng, s: leafage(rng, s, int(rng.integers(8, 36))), 2),
-    (lambda rng, s: cylinder(s * rng.uniform(0.1, 0.4), s * rng.uniform(0.2, 1.0)), 1),
-    (lambda rng, s: cylinder(s * rng.uniform(0.2, 0.4), s * rng.uniform(0.4, 1.0), 0.0), 0.7),
-    (lambda rng, s: torus(0.38 * s, s * rng.uniform(0.04, 0.16)).placed((0, 0, 0.1 * s)), 0.7),
-    (wire, 1),
-    (pile, 1.2),
+    (book, 3), (_pot, 3), (ball, 2), (_rock, 3), (figure, 2.5), (bolt, 2), (chest, 1.5),
+    (_plant, 1.5), (_bush, 1), (_drum, 1.7), (_ring, 0.7), (wire, 1), (pile, 1.2),
 ]  # fmt: skip
 
 
