@@ -32,9 +32,14 @@ class Console:
     def __init__(self, quiet: bool = False) -> None:
         self.notes: list[str] = []
         self.timings: dict[str, float] = {}
+        self._start = time.perf_counter()
         self._quiet = quiet
         self._live = not quiet and is_terminal()
         self._lock = threading.Lock()  # notes may come while the progress line is drawn
+
+    def elapsed(self) -> float:
+        """Seconds since the run began."""
+        return time.perf_counter() - self._start
 
     def note(self, text: str) -> None:
         """Tell the user about a decision that was made for them. Repeated notes are told once."""

@@ -67,11 +67,14 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
-        """As click does, without the empty line that it prints after Ctrl-C."""
+        """As click does, but Ctrl-C prints no empty line, and a closed pipe has its own code."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
             raise click.exceptions.Exit(ExitCode.INTERRUPTED) from None
+        except BrokenPipeError:
+            sys.stdout = None  # type: ignore[assignment]  # or Python flushes it again at exit
+            raise click.exceptions.Exit(BROKEN_PIPE) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The table, without importing anything."""
@@ -104,7 +107,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
             prog_name=console.PROGRAM,
             standalone_mode=False,
         )
-        sys.stdout.flush()
     except Styl3rError as error:
         if isinstance(error.__cause__, BrokenPipeError):
             return BROKEN_PIPE
@@ -116,9 +118,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _fail(_usage_message(error), ExitCode.USAGE)
     except (KeyboardInterrupt, click.Abort):
         return ExitCode.INTERRUPTED
-    except BrokenPipeError:
-        sys.stdout = None  # type: ignore[assignment]  # or the interpreter complains at exit
-        return BROKEN_PIPE
     except MemoryError:
         return _fail("out of memory; try fewer or smaller photos", ExitCode.INTERNAL)
     except Exception as error:  # whatever it is, a user sees one line

@@ -9,25 +9,19 @@ from pathlib import Path
 
 from styl3r_cli.errors import OutputError, UsageError
 
-SHEET_SUFFIXES = (".png",)
-
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
     """Make sure that results can be written where they were asked for.
 
     Raises:
-        UsageError: two results have one name, or a result would replace something that is read.
+        UsageError: a result would replace something that is read.
         OutputError: a folder is missing, or may not be written to.
     """
-    read = {path.resolve(): path for path in inputs}
-    written: dict[Path, Path] = {}
+    read = {path.resolve() for path in inputs}
     for path in outputs:
         target = path.resolve()
         if target in read:
             raise UsageError(f"{path} is also an input; results never replace what they come from")
-        if target in written and target != Path(os.devnull):
-            raise UsageError(f"{path}: two results cannot go to one file")
-        written[target] = path
         if target.is_dir():
             raise OutputError(f"cannot write {path}: it is a folder; name a file in it")
         if not target.parent.is_dir():
@@ -47,11 +41,11 @@ def check_stdout(option: str) -> None:
         raise UsageError(f"{option}: {message}")
 
 
-def check_suffix(path: Path, allowed: tuple[str, ...], option: str) -> None:
-    """Make sure that a result's suffix names a format that it can have.
+def check_suffix(path: Path, suffix: str, option: str) -> None:
+    """Make sure that a result's name says the format that it will have.
 
     Raises:
         UsageError: it does not.
     """
-    if path.suffix.lower() not in allowed:
-        raise UsageError(f"{option} {path}: the file's name must end in {' or '.join(allowed)}")
+    if path.suffix.lower() != suffix:
+        raise UsageError(f"{option} {path}: the file's name must end in {suffix}")

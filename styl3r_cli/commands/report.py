@@ -32,6 +32,7 @@ def scene_report(
     """
     model, photos = inputs.stylizer.model, inputs.photos
     height, width = photos.images.shape[2:]
+    timings = console.timings | {"total": console.elapsed()}
     outputs = {
         "scene": request.scene_path,
         "video": request.video,
@@ -50,7 +51,7 @@ def scene_report(
         "outputs": {name: _text(path) for name, path in outputs.items() if path is not None},
         "repairs": repairs.to_dict(),
         "warnings": console.notes,
-        "timings": {name: round(seconds, 4) for name, seconds in console.timings.items()},
+        "timings": {name: round(seconds, 4) for name, seconds in timings.items()},
     }
 
 

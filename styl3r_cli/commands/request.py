@@ -63,7 +63,7 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
         Styl3rError: whatever is wrong with the request or its files.
     """
     notes: list[str] = []
-    paths = expand(request.photos, notes)
+    paths = _without_styles(request, expand(request.photos, notes), notes)
     _check(request, paths)
     known = _known_cameras(request, paths, notes)
     for note in notes:
@@ -88,6 +88,18 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
     return Inputs(stylizer, photos, styles)
 
 
+def _without_styles(request: SceneRequest, photos: list[Path], notes: list[str]) -> list[Path]:
+    """The photos, without style pictures that lie in their folder or match their glob.
+
+    A file that is named as both is both.
+    """
+    styles = {style.path.resolve() for style in request.styles}
+    styles -= {Path(name).expanduser().resolve() for name in request.photos}
+    both = [path for path in photos if path.resolve() in styles]
+    notes += [f"{path} is a style, so it is not used as a photo" for path in both]
+    return [path for path in photos if path not in both]
+
+
 def _check(request: SceneRequest, photos: list[Path]) -> None:
     """Refuse what could not end well, before any work."""
     scene = request.scene_path
@@ -103,7 +115,7 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
         ("--cameras-out", request.cameras_out, ".json"),
     ):
         if path is not None:
-            check_suffix(path, (suffix,), option)
+            check_suffix(path, suffix, option)
     outputs = (scene, request.video, request.preview, request.cameras_out)
     read = [*photos, *(style.path for style in request.styles)]
     if request.cameras is not None:

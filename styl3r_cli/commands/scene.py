@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 from styl3r_cli import __version__
 from styl3r_cli.cameras.framing import uncropped
 from styl3r_cli.cameras.recover import Recovered, recover
@@ -83,7 +86,18 @@ def _write(
 
         sizes = zip(recovered.cameras, inputs.photos.sizes, strict=True)
         cameras = [uncropped(camera, *size) for camera, size in sizes]
-        write_transforms(request.cameras_out, cameras, [str(p) for p in inputs.photos.paths])
+        folder = request.cameras_out.parent
+        write_transforms(
+            request.cameras_out, cameras, [_seen_from(folder, path) for path in inputs.photos.paths]
+        )
+
+
+def _seen_from(folder: Path, photo: Path) -> str:
+    """The photo's path relative to the camera file's folder, as nerfstudio reads it."""
+    try:
+        return Path(os.path.relpath(photo, folder)).as_posix()
+    except ValueError:  # on another drive
+        return photo.resolve().as_posix()
 
 
 def _film(

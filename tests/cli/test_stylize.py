@@ -1,0 +1,329 @@
+"""`styl3r stylize`, from files to files: what it writes, tells and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+from tiny_model import BASELINE
+
+from styl3r_cli import main
+from styl3r_cli.cameras.stored import cameras_from_metadata
+from styl3r_cli.cameras.transforms import read_transforms
+from styl3r_cli.commands import scene
+from styl3r_cli.formats import read_scene
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(tiny_model: Path, capsysbinary: pytest.CaptureFixture[bytes]) -> Run:
+    """Runs a command with the tiny model: exit code, stdout, stderr."""
+
+    def run_command(*arguments: object) -> tuple[int, Any, str]:
+        capsysbinary.readouterr()
+        command = [*map(str, arguments), "--model", str(tiny_model), "--threads", "1"]
+        code = main.run(command)
+        out, err = capsysbinary.readouterr()
+        return code, out, err.decode()
+
+    return run_command
+
+
+def one_line(text: str) -> bool:
+    return text.startswith("styl3r: error: ") and text.count("\n") == 1
+
+
+def test_photos_and_a_style_become_a_scene(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "scene.ply"
+    assert run("stylize", photos[0].parent, "--style", style, "-o", target, "--fov", 60) == (
+        0,
+        b"",
+        "",
+    )
+    gaussians = read_scene(target).gaussians
+    assert len(gaussians) == 3 * 64 * 64  # the model's own size
+    art = np.asarray(Image.open(style).resize((64, 64))).mean(axis=(0, 1)) / 255
+    photo = np.asarray(Image.open(photos[0]).resize((77, 64)).crop((6, 0, 70, 64))) / 255
+    expected = 0.5 * photo + 0.5 * art
+    error = gaussians.colours[: 64 * 64].reshape(64, 64, 3) - expected
+    assert np.abs(error).mean() < 0.03
+
+
+def test_same_input_same_bytes(run: Run, photos: list[Path], style: Path, tmp_path: Path) -> None:
+    for name in ("a.ply", "b.ply"):
+        assert run("stylize", *photos, "--style", style, "-o", tmp_path / name)[0] == 0
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_json_is_one_object_with_everything(
+    run: Run,
+    photos: list[Path],
+    style: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(scene, "VIDEO_FRAMES", 6)
+    names = {
+        "scene": tmp_path / "s.ply",
+        "video": tmp_path / "v.mp4",
+        "preview": tmp_path / "p.png",
+        "cameras": tmp_path / "c.json",
+    }
+    code, out, err = run(
+        *("stylize", *photos, "--style", f"{style}=2", "--strength", 0.5, "-o", names["scene"]),
+        *("--video", names["video"], "--preview", names["preview"]),
+        *("--cameras-out", names["cameras"], "--json"),
+    )
+    assert code == 0
+    report = json.loads(out)
+    assert report["outputs"] == {name: str(path) for name, path in names.items()}
+    for path in names.values():
+        assert path.stat().st_size > 0
+    with av.open(str(names["video"])) as video:
+        assert len(list(video.decode(video=0))) == 6
+    assert report["gaussians"] == 3 * 64 * 64
+    assert report["styles"] == [{"path": str(style), "weight": 2.0}]
+    assert report["strength"] == 0.5
+    assert report["size"] == [64, 64]
+    assert report["model"]["name"] == "tiny"
+    assert set(report["repairs"].values()) == {0}
+    assert [view["path"] for view in report["views"]] == [str(photo) for photo in photos]
+    stages = {"photos", "model", "structure", "appearance", "cameras", "write", "video", "preview"}
+    stages.add("total")
+    assert set(report["timings"]) == stages
+    assert len(report["warnings"]) == len(err.splitlines())
+    assert "28 mm equivalent assumed" in err
+
+
+def test_cameras_are_those_of_the_photos(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    """The tiny model's views stand BASELINE apart, whatever the field of view."""
+    out, target = tmp_path / "c.json", tmp_path / "s.ply"
+    command = ("stylize", *photos, "--style", style, "--fov", 50, "-o", target)
+    code, report, _ = run(*command, "--cameras-out", out, "--json")
+    assert code == 0
+    cameras = read_transforms(out)
+    assert cameras.file_paths == [f"photos/{photo.name}" for photo in photos]  # from the file
+    focal = 48 / np.tan(np.radians(25))  # photos are 96 pixels wide
+    stored = cameras_from_metadata(read_scene(target).metadata)
+    views = json.loads(report)["views"]
+    for index, camera in enumerate(cameras.cameras):
+        assert (camera.width, camera.height) == (96, 80)
+        assert camera.fx == pytest.approx(focal, rel=0.01)
+        assert camera.extrinsics[:3, 3] == pytest.approx([-BASELINE * index, 0, 0], abs=0.01)
+        assert views[index]["camera"]["inlier_ratio"] > 0.99
+        assert views[index]["camera"]["fx"] == pytest.approx(camera.fx)
+        # In the scene file they are the network's: 64x64, cut from a photo scaled to 77x64.
+        assert (stored[index].width, stored[index].height) == (64, 64)
+        assert stored[index].fx == pytest.approx(camera.fx * 77 / 96, rel=1e-6)
+        assert stored[index].extrinsics == pytest.approx(camera.extrinsics, abs=1e-6)
+
+
+def test_written_cameras_can_be_given_back(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "a.ply", tmp_path / "b.ply"
+    file = tmp_path / "c.json"
+    command = ("stylize", *photos, "--style", style)
+    assert run(*command, "--fov", 50, "-o", first, "--cameras-out", file)[0] == 0
+    code, out, err = run(*command, "--cameras", file, "-o", second, "--json")
+    assert (code, err) == (0, "")
+    assert {view["focal_source"] for view in json.loads(out)["views"]} == {"cameras"}
+    a, b = read_scene(first).gaussians, read_scene(second).gaussians
+    np.testing.assert_allclose(a.means, b.means, atol=0.01)
+
+
+def test_strength_and_weights_reach_the_colours(
+    run: Run, photos: list[Path], tmp_path: Path
+) -> None:
+    for name, colour in (("red", (255, 0, 0)), ("blue", (0, 0, 255))):
+        Image.new("RGB", (40, 40), colour).save(tmp_path / f"{name}.png")
+    red, blue = tmp_path / "red.png", tmp_path / "blue.png"
+
+    def mean_colour(*options: object) -> np.ndarray:
+        assert run("stylize", *photos, *options, "-o", tmp_path / "s.ply")[0] == 0
+        return read_scene(tmp_path / "s.ply").gaussians.colours.mean(axis=0)
+
+    full, other = mean_colour("--style", red), mean_colour("--style", blue)
+    own = mean_colour("--style", red, "--strength", 0)
+    blended = mean_colour("--style", f"{red}=3", "--style", f"{blue}=1")
+    np.testing.assert_allclose(blended, 0.75 * full + 0.25 * other, atol=1e-5)
+    half = mean_colour("--style", red, "--strength", 0.5)
+    np.testing.assert_allclose(half, 0.5 * full + 0.5 * own, atol=1e-5)
+
+
+def test_an_equals_sign_may_be_part_of_a_style_name(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    for name in ("a=b.jpg", "c.jpg=7"):
+        picture = shutil.copy(style, tmp_path / name)
+        code, out, _ = run("stylize", *photos, "-s", picture, "-o", tmp_path / "s.ply", "--json")
+        assert code == 0
+        assert json.loads(out)["styles"] == [{"path": str(picture), "weight": 1.0}]
+    picture = tmp_path / "a=b.jpg"
+    code, out, _ = run("stylize", *photos, "-s", f"{picture}=.5", "-o", tmp_path / "s", "--json")
+    assert code == 2  # the scene has no suffix
+    code, out, _ = run(
+        "stylize", *photos, "-s", f"{picture}=.5", "-o", tmp_path / "s.ply", "--json"
+    )
+    assert json.loads(out)["styles"] == [{"path": str(picture), "weight": 0.5}]
+
+
+def test_scene_to_standard_output_is_the_same_file(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    assert run("stylize", *photos, "--style", style, "-o", tmp_path / "s.ply")[0] == 0
+    code, out, _ = run("stylize", *photos, "--style", style, "-o", "-")
+    assert code == 0
+    assert out == (tmp_path / "s.ply").read_bytes()
+    assert len(out[: out.index(b"end_header")]) < 4096  # some viewers look no further than 10 KB
+
+
+def test_size(run: Run, photos: list[Path], style: Path, tmp_path: Path) -> None:
+    command = ("stylize", *photos, "--style", style, "-o", tmp_path / "s.ply", "--json", "--size")
+    assert json.loads(run(*command, "80x48")[1])["gaussians"] == 3 * 80 * 48
+    assert json.loads(run(*command, "32")[1])["size"] == [32, 32]
+    code, _, err = run(*command, "100x48")
+    assert code == 2
+    assert "multiples of 16" in err
+
+
+def test_quiet_is_silent_on_success_only(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    command = ("stylize", *photos, "--style", style, "--quiet", "-o")
+    assert run(*command, tmp_path / "s.ply") == (0, b"", "")
+    assert one_line(run(*command, tmp_path / "no" / "s.ply")[2])
+
+
+def test_nine_photos_are_eight_with_a_note(
+    run: Run, make_picture: Callable[..., Path], style: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "nine"
+    folder.mkdir()
+    for index in range(9):
+        make_picture(folder / f"{index}.png", seed=index)
+    code, out, err = run("stylize", folder, "-s", style, "-o", tmp_path / "s.ply", "--json")
+    assert code == 0
+    views = [Path(view["path"]).name for view in json.loads(out)["views"]]
+    assert len(views) == 8
+    assert f"9 photos, of which 8 are used: {', '.join(views)}" in err
+
+
+GOOD = "-s style.jpg -o s.ply"
+MISTAKES = [
+    (f"photos/0.png {GOOD}", 3, "only one photo"),
+    (f"photos/0.png no.jpg {GOOD}", 3, "no.jpg: no such file"),
+    (f"empty {GOOD}", 3, "empty: no photos in this folder"),
+    (f"photos/0.png broken.jpg {GOOD}", 3, "broken.jpg"),
+    ("photos -s no.jpg -o s.ply", 3, "no.jpg: no such style"),
+    ("photos -s broken.jpg -o s.ply", 3, "broken.jpg"),
+    ("photos -s style.jpg=0 -o s.ply", 2, "all style weights"),
+    ("photos -s style.jpg=-1 -o s.ply", 2, "0 or more"),
+    ("photos -s style.jpg=nan -o s.ply", 2, "finite"),
+    ("photos -s style.jpg --strength nan -o s.ply", 2, "nan"),
+    ("photos -s style.jpg -o s.obj", 2, "format '.obj'"),
+    ("photos -s style.jpg -o no/s.ply", 6, "the folder no does not exist"),
+    ("photos -s style.jpg -o folder.ply", 6, "is a folder"),
+    (f"photos {GOOD} --preview photos/0.png", 2, "0.png is also an input"),
+    (f"photos {GOOD} --preview sheet.gif", 2, "must end in .png"),
+    (f"photos {GOOD} --video v.avi", 2, "must end in .mp4"),
+    (f"photos {GOOD} --cameras no.json", 3, "no.json"),
+    (f"photos {GOOD} --fov 190", 2, "--fov 190"),
+    ("photos -s style.jpg -o - --json", 2, "both want standard output"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "expected", "words"), MISTAKES)
+def test_mistakes_get_one_line_and_their_code(
+    run: Run,
+    photos: list[Path],
+    style: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: str,
+    expected: int,
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "folder.ply").mkdir()
+    (tmp_path / "broken.jpg").write_bytes(b"\xff\xd8\xff not a photo")
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = run("stylize", *arguments.split())
+    assert (code, out) == (expected, b"")
+    *notes, error = err.splitlines(keepends=True)
+    assert one_line(error)
+    assert words in error
+    assert all("error" not in note for note in notes)
+    assert sorted(tmp_path.rglob("*")) == before  # nothing was written
+
+
+def test_a_style_among_the_photos_is_no_photo(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    art = shutil.copy(style, photos[0].parent / "art.jpg")
+    command = ("-s", art, "-o", tmp_path / "s.ply", "--json")
+    code, out, err = run("stylize", photos[0].parent, *command)
+    assert (code, len(json.loads(out)["views"])) == (0, 3)
+    assert "art.jpg is a style" in err
+    code, out, _ = run("stylize", *photos, art, *command)  # named as both
+    assert (code, len(json.loads(out)["views"])) == (0, 4)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
+def test_protected_folder(run: Run, photos: list[Path], style: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "locked"
+    folder.mkdir(mode=0o500)
+    code, _, err = run("stylize", *photos, "-s", style, "-o", folder / "s.ply")
+    assert code == 6
+    assert "permission denied" in err
+
+
+def test_damaged_model(tiny_model: Path, photos: list[Path], style: Path, tmp_path: Path) -> None:
+    model = Path(shutil.copytree(tiny_model, tmp_path / "model"))
+    with (model / "structure.onnx").open("ab") as file:
+        file.write(b"\0")
+    command = [sys.executable, "-m", "styl3r_cli", "stylize", *map(str, photos), "-s", str(style)]
+    command += ["-o", str(tmp_path / "s.ply"), "--model", str(model), "--fov", "50"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout) == (4, "")
+    assert one_line(result.stderr)
+    assert "structure.onnx" in result.stderr
+
+
+def test_two_programs_in_a_pipe(
+    tiny_model: Path, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    """`stylize -o - | render -`, and a reader that leaves early."""
+    program = f"'{sys.executable}' -m styl3r_cli"
+    stylize = (
+        f"{program} stylize '{photos[0].parent}' -s '{style}' -o - --model '{tiny_model}' --fov 50"
+    )
+    command = f"set -o pipefail; {stylize} | {program} render - --frames 1 -o '{tmp_path}/a.png'"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (0, b"", b"")
+    picture = np.asarray(Image.open(tmp_path / "a.png"))
+    assert picture.shape == (512, 512, 3)
+    assert picture.std() > 10
+    command = f"{stylize} | head -c 100 > /dev/null; exit ${{PIPESTATUS[0]}}"
+    buffered = {name: text for name, text in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    result = subprocess.run(["bash", "-c", command], capture_output=True, check=False, env=buffered)
+    assert (result.returncode, result.stderr) == (141, b"")
+    command = f"{stylize.replace('-o -', '--json -o s.ply')} | true; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, check=False)
+    assert (result.returncode, result.stderr) == (141, b"")
