@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
 
 from styl3r_export.curriculum import data, stages
+from styl3r_export.curriculum.perceptual import load_perceptual
+from styl3r_export.curriculum.pictures import PictureBank, flat_batches, training_pictures
+from styl3r_export.curriculum.stylization import StyleBatch, StyleStep, Teacher, style_batches
 from styl3r_export.curriculum.teachers import initialise_stem
 from styl3r_export.curriculum.trainer import Schedule, Trainer
 
@@ -16,11 +20,17 @@ from styl3r_export.curriculum.trainer import Schedule, Trainer
 def parse() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="styl3r_export.curriculum", description=__doc__)
-    parser.add_argument("stage", choices=["geometry"])
+    parser.add_argument("stage", choices=["geometry", "style"])
     parser.add_argument("--data", type=Path, required=True, help="folder of scene shards")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--start", type=Path, help="checkpoint to start from")
     parser.add_argument("--stem", type=Path, help="RAFT-small weights (.npz) for a new stem")
+    parser.add_argument("--styles", type=Path, help="folder of paintings")
+    parser.add_argument("--style-sources", type=Path, help="CSV naming public-domain paintings")
+    parser.add_argument("--photos", type=Path, help="folder of photographs")
+    parser.add_argument("--perceptual", type=Path, help="VGG weights (.npz slim, .pth torchvision)")
+    parser.add_argument("--teacher", type=Path, help="2D stylizer (.onnx) to learn from")
+    parser.add_argument("--size", type=int, default=128, help="side of flat scenes and paintings")
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--seconds", type=float, default=math.inf, help="stop after this time")
     parser.add_argument("--batch", type=int, default=16, help="scenes of two views a step")
@@ -37,17 +47,37 @@ def main() -> None:
     args = parse()
     torch.manual_seed(args.seed)
     torch.set_num_threads(args.threads)
+    trains = {"geometry": stages.geometry_trains, "style": stages.appearance_trains}
     trainer = Trainer(
         args.out,
         Schedule(args.steps, learning_rate=args.learning_rate),
-        stages.geometry_trains,
+        trains[args.stage],
         start=args.start,
         device=args.device,
     )
     if args.stem and trainer.step == 0 and not args.start:
         initialise_stem(trainer.model, args.stem)
-    batches = data.batches(args.data, args.seed + trainer.step, args.batch, tuple(args.views))
-    trainer.run(batches, stages.geometry_step, seconds=args.seconds)
+    seed = args.seed + trainer.step  # a resumed run does not repeat its first batches
+    scenes = data.batches(args.data, seed, args.batch, tuple(args.views))
+    if args.stage == "geometry":
+        trainer.run(scenes, stages.geometry_step, seconds=args.seconds)
+    else:
+        batches, step = style_stage(args, scenes, seed)
+        trainer.run(batches, step, seconds=args.seconds)
+
+
+def style_stage(
+    args: argparse.Namespace, scenes: Iterator[data.Batch], seed: int
+) -> tuple[Iterator[StyleBatch], StyleStep]:
+    """The data and the losses of the stylization stage."""
+    # Pictures are kept a quarter larger than their crops, for room to choose.
+    side = args.size * 5 // 4
+    paintings = PictureBank(training_pictures(args.styles, args.style_sources), side)
+    photos = PictureBank(training_pictures(args.photos), side * 3 // 2)
+    flat = flat_batches(photos, seed, args.batch, args.size)
+    teacher = Teacher(args.teacher, args.threads) if args.teacher else None
+    step = StyleStep(load_perceptual(args.perceptual), teacher)
+    return style_batches(scenes, flat, paintings, seed), step
 
 
 if __name__ == "__main__":

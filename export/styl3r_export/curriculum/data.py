@@ -40,9 +40,7 @@ class Shards:
             self.shards[path] = {f: np.load(path / f"{f}.npy", mmap_mode="r") for f in FIELDS}
         if not self.shards:
             raise FileNotFoundError(f"no scene shards in {self.folder}")
-        self.index = [
-            (path, i) for path, s in self.shards.items() for i in range(len(s["images"]))
-        ]
+        self.index = [(path, i) for path, s in self.shards.items() for i in range(len(s["images"]))]
 
     def __len__(self) -> int:
         return len(self.index)

@@ -53,7 +53,9 @@ def geometry_losses(out: RayDecoding, batch: Batch) -> dict[str, Tensor]:
         "rotation": rotation.mean(),
         "centre": centre.mean(),
         "points": point_loss(out, batch),
-        "matches": match_loss(out.matches, batch) if out.matches is not None else error.new_zeros(()),
+        "matches": match_loss(out.matches, batch)
+        if out.matches is not None
+        else error.new_zeros(()),
     }
 
 

@@ -33,3 +33,8 @@ def geometry_step(model: Styl3r, batch: Batch) -> dict[str, Tensor]:
     with torch.autocast(batch.images.device.type, enabled=False):
         losses = geometry_losses(out, batch)
     return {name: WEIGHTS[name] * value for name, value in losses.items()}
+
+
+def appearance_trains(name: str) -> bool:
+    """The appearance branch; the content encoder and all of the structure stay as they are."""
+    return used(name) and name.startswith(APPEARANCE)

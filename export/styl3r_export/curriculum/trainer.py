@@ -169,8 +169,9 @@ class Trainer:
     def _log(self, terms: dict[str, float], pace: float) -> None:
         left = (self.schedule.steps - self.step) / max(pace, 1e-9)
         text = " ".join(f"{name} {value:.4f}" for name, value in terms.items())
+        where = f"step {self.step}/{self.schedule.steps} {pace:.2f}/s {left / 60:.0f} min left"
         print(
-            f"step {self.step}/{self.schedule.steps} {pace:.2f}/s {left / 60:.0f} min left | {text}",
+            f"{where} | {text}",
             file=sys.stderr,
             flush=True,
         )
