@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import click
 
 STDOUT = "-"
+LOOP_FRAMES, LOOP_FPS = 72, 24.0  # a path's one loop in three seconds: slow enough to look around
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

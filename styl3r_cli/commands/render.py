@@ -7,6 +7,8 @@ from pathlib import Path
 import click
 
 from styl3r_cli.commands.options import (
+    LOOP_FPS,
+    LOOP_FRAMES,
     SizeType,
     UserPath,
     quiet_option,
@@ -14,7 +16,6 @@ from styl3r_cli.commands.options import (
 )
 
 DEFAULT_PATH = "wobble"
-DEFAULT_FRAMES, DEFAULT_FPS = 90, 30.0  # one loop of three seconds
 
 HELP = """\
 Draw a scene along a camera path, or from the cameras of a file.
@@ -49,11 +50,13 @@ Draw a scene along a camera path, or from the cameras of a file.
     help="One frame per camera of this file; with --path, the views that the path starts from. "
     "By default the views that styl3r stores in its scenes.",
 )
-@click.option("--frames", type=click.IntRange(min=1), help="Frames of a path; 90 by default.")
+@click.option(
+    "--frames", type=click.IntRange(min=1), help=f"Frames of a path; {LOOP_FRAMES} by default."
+)
 @click.option(
     "--fps",
     type=click.FloatRange(min=0, min_open=True, max=1000),
-    default=DEFAULT_FPS,
+    default=LOOP_FPS,
     show_default=True,
     help="Frames per second of a video.",
 )
@@ -94,7 +97,7 @@ def command(
         output=output,
         path=path_name or (DEFAULT_PATH if cameras is None else None),
         cameras=cameras,
-        frames=frames or DEFAULT_FRAMES,
+        frames=frames or LOOP_FRAMES,
         fps=fps,
         size=size,
         background=background,

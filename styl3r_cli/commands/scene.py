@@ -9,6 +9,7 @@ from styl3r_cli import __version__
 from styl3r_cli.cameras.framing import uncropped
 from styl3r_cli.cameras.recover import Recovered, recover
 from styl3r_cli.cameras.stored import cameras_to_metadata
+from styl3r_cli.commands.options import LOOP_FPS, LOOP_FRAMES
 from styl3r_cli.commands.report import print_report, scene_report
 from styl3r_cli.commands.request import Inputs, SceneRequest, load_inputs
 from styl3r_cli.console import Console
@@ -18,9 +19,8 @@ from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.photos import Photos
 from styl3r_cli.pipeline import Scene
 
-# The video of `--video`; `styl3r render` has options for all of it.
+# The path and the frame of `--video`; `styl3r render` has options for both.
 VIDEO_PATH = "wobble"
-VIDEO_FRAMES, VIDEO_FPS = 90, 30.0  # one loop of three seconds: slow enough to look around
 VIDEO_SIDE = 512  # Gaussians are smooth: twice the network's pixels look better than its own
 
 
@@ -110,10 +110,10 @@ def _film(
 
     assert request.video is not None
     views = [enlarged(camera, VIDEO_SIDE) for camera in recovered.cameras]
-    cameras = make_path(VIDEO_PATH, views, gaussians, VIDEO_FRAMES)
+    cameras = make_path(VIDEO_PATH, views, gaussians, LOOP_FRAMES)
     with console.stage("video", len(cameras)) as drawn:
         frames = draw_path(gaussians, cameras, threads=request.threads, drawn=drawn)
-        write_video(request.video, frames, VIDEO_FPS)
+        write_video(request.video, frames, LOOP_FPS)
 
 
 def _draw_sheet(

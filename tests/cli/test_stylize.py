@@ -75,7 +75,7 @@ def test_json_is_one_object_with_everything(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(scene, "VIDEO_FRAMES", 6)
+    monkeypatch.setattr(scene, "LOOP_FRAMES", 6)
     names = {
         "scene": tmp_path / "s.ply",
         "video": tmp_path / "v.mp4",
