@@ -1,0 +1,79 @@
+"""The classical baseline of the cameras: SIFT matches and an essential matrix, by OpenCV."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+LOWE_RATIO = 0.8  # Lowe 2004, section 7.1
+THRESHOLD = 1.0  # pixels from the epipolar line
+CONFIDENCE = 0.99999
+MOST_ROUNDS = 10_000
+FEWEST_MATCHES = 5  # that the five-point algorithm needs
+
+Array = NDArray[np.float64]
+
+
+def relative_pose(
+    first: NDArray[np.uint8], second: NDArray[np.uint8], first_k: Array, second_k: Array
+) -> Array | None:
+    """The second camera relative to the first: (4, 4), translation of length 1.
+
+    Args:
+        first: (H, W, 3) RGB.
+        second: (H, W, 3) RGB.
+        first_k: (3, 3) intrinsics in pixels.
+        second_k: the second picture's.
+
+    Returns:
+        None where there are too few matches.
+    """
+    a, b = match(first, second)
+    if len(a) < FEWEST_MATCHES:
+        return None
+    rays_a, rays_b = (
+        (uv - k[:2, 2]) / np.array([k[0, 0], k[1, 1]]) for uv, k in ((a, first_k), (b, second_k))
+    )
+    focal = float(np.mean([first_k[0, 0], first_k[1, 1], second_k[0, 0], second_k[1, 1]]))
+    cv2.setRNGSeed(0)
+    matrices, mask = cv2.findEssentialMat(
+        rays_a, rays_b, np.eye(3), cv2.RANSAC, CONFIDENCE, THRESHOLD / focal, MOST_ROUNDS
+    )
+    if matrices is None:
+        return None
+    best, most = None, 0
+    for matrix in np.split(matrices, len(matrices) // 3):  # some point sets allow several
+        count, rotation, translation, _ = cv2.recoverPose(
+            matrix, rays_a, rays_b, np.eye(3), mask=mask.copy()
+        )
+        if count > most:
+            best, most = np.eye(4), count
+            best[:3, :3], best[:3, 3] = rotation, translation[:, 0]
+    return best
+
+
+def match(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[Array, Array]:
+    """(M, 2) pixel positions of the mutually best matches that pass the ratio test."""
+    sift = cv2.SIFT.create()
+    found = [
+        sift.detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None)
+        for picture in (first, second)
+    ]
+    (keys_a, a), (keys_b, b) = found
+    empty = np.zeros((0, 2))
+    if a is None or b is None or len(a) < 2 or len(b) < 2:
+        return empty, empty
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    back = {m.queryIdx: m.trainIdx for m in matcher.match(b, a)}
+    good = [
+        m
+        for m, other in matcher.knnMatch(a, b, k=2)
+        if m.distance < LOWE_RATIO * other.distance and back[m.trainIdx] == m.queryIdx
+    ]
+    if not good:
+        return empty, empty
+    # OpenCV puts the first pixel's centre at (0, 0), this project at (0.5, 0.5).
+    uv_a = np.array([keys_a[m.queryIdx].pt for m in good]) + 0.5
+    uv_b = np.array([keys_b[m.trainIdx].pt for m in good]) + 0.5
+    return uv_a, uv_b

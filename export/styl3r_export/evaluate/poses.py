@@ -1,0 +1,98 @@
+"""Errors of recovered cameras, beside no motion at all and classical two-view geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_export.evaluate.essential import relative_pose
+from styl3r_export.evaluate.groups import Group
+from styl3r_export.evaluate.records import MODEL, Values
+
+# The direction of a motion of length 0: what a direction drawn at random is off by on average.
+NO_DIRECTION = 90.0
+
+Array = NDArray[np.float64]
+
+
+def camera_values(
+    group: Group, recovered: Recovered, given: Sequence[Camera], assumed_focal: float
+) -> Values:
+    """Errors in degrees of the relative poses of all pairs of a group's views.
+
+    `rotation` is the angle between relative rotations, `direction` the angle between relative
+    translations (not folded at 90 degrees), `larger of both` is what AUC is computed from.
+
+    Baselines: `identity` says that the camera did not move; `SIFT + E` matches SIFT features and
+    solves for the essential matrix, pair by pair, at the same crop with the intrinsics that the
+    network was given, and says identity where that finds nothing.
+
+    Args:
+        group: the true cameras.
+        recovered: the model's cameras.
+        given: cameras with the intrinsics that the network was given, in pixels of the crop.
+        assumed_focal: fx of the first view as assumed for a photo without EXIF data, pixels.
+    """
+    values: Values = {}
+    for a, b in combinations(range(len(group.views)), 2):
+        truth = between(group.views[a].camera, group.views[b].camera)
+        sift = relative_pose(
+            group.views[a].pixels, group.views[b].pixels, given[a].intrinsics, given[b].intrinsics
+        )
+        guesses = {
+            MODEL: between(recovered.cameras[a], recovered.cameras[b]),
+            "identity": np.eye(4),
+            "SIFT + E": np.eye(4) if sift is None else sift,
+        }
+        for method, guess in guesses.items():
+            turn, direction = rotation_error(guess, truth), direction_error(guess, truth)
+            for name, error in (
+                ("rotation (deg)", turn),
+                ("direction (deg)", direction),
+                ("larger of both (deg)", max(turn, direction)),
+            ):
+                values.setdefault(("cameras", name, method), []).append(error)
+    true_focal = group.views[0].camera.fx
+    found_focal = given[0].fx if recovered.focal is None else recovered.focal
+    for method, focal in ((MODEL, found_focal), ("28 mm assumed", assumed_focal)):
+        values["cameras", "focal length (relative)", method] = [abs(focal / true_focal - 1)]
+    return values
+
+
+def between(a: Camera, b: Camera) -> Array:
+    """(4, 4): from camera a's frame to camera b's."""
+    return b.extrinsics @ np.linalg.inv(a.extrinsics)
+
+
+def rotation_error(guess: Array, truth: Array) -> float:
+    """Degrees between two rotations, exact for small angles too."""
+    difference = guess[:3, :3].T @ truth[:3, :3]
+    chord = np.linalg.norm(difference - np.eye(3)) / np.sqrt(8)
+    return float(np.degrees(2 * np.arcsin(min(chord, 1.0))))
+
+
+def direction_error(guess: Array, truth: Array) -> float:
+    """Degrees between two translations; NO_DIRECTION if one of them is 0."""
+    a, b = guess[:3, 3], truth[:3, 3]
+    lengths = np.linalg.norm(a) * np.linalg.norm(b)
+    if lengths == 0:
+        return NO_DIRECTION
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def area_under_recall(errors: Sequence[float], limit: float) -> float:
+    """AUC: mean recall over all thresholds up to `limit` (as in SuperGlue, Sarlin et al. 2020).
+
+    Recall is linear between errors, the first of them reached from 0.
+    """
+    ordered = np.concatenate([[0.0], np.sort(errors)])
+    recall = np.arange(len(ordered)) / len(errors)
+    last = int(np.searchsorted(ordered, limit))
+    x = np.concatenate([ordered[:last], [limit]])
+    y = np.concatenate([recall[:last], [recall[last - 1]]])
+    return float(np.trapezoid(y, x) / limit)

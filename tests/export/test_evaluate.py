@@ -1,0 +1,226 @@
+"""The evaluation on a scene whose truth the tiny model knows, and its parts against references."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from tiny_model import BASELINE
+
+from styl3r_cli.photos.resize import fit_photo
+from styl3r_export.evaluate.__main__ import main
+from styl3r_export.evaluate.depth import fit_plane, relative_errors
+from styl3r_export.evaluate.groups import choose_groups
+from styl3r_export.evaluate.poses import area_under_recall, direction_error, rotation_error
+from styl3r_export.evaluate.scenes import crop_camera, load_scene
+
+SIDE, FOCAL, UNIT, PHOTOS = 64, 70.0, 3.0, 5
+
+
+def row_depth(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the tiny model says of `photo` at these rows: 2 + brightness, the same along x."""
+    return 2 + photo()[rows.astype(int), 0].mean(axis=-1) / 255
+
+
+def photo() -> NDArray[np.float64]:
+    """(SIDE, SIDE, 3): grey stripes, so that cameras side by side see the same."""
+    grey = 128 + 100 * np.sin(np.arange(SIDE) / 9)
+    return np.rint(np.broadcast_to(grey[:, None, None], (SIDE, SIDE, 3)))
+
+
+def write_scene(folder: Path, photos: int = PHOTOS) -> Path:
+    """A scene in the stored layout: the world that the tiny model sees, in other units."""
+    (folder / "images").mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform([-SIDE, 1], [2 * SIDE, SIDE - 1], (900, 2))
+    depth = row_depth(pixels[:, 1])
+    rays = np.column_stack([(pixels - SIDE / 2) / FOCAL, np.ones(len(pixels))])
+    points = rays * depth[:, None]
+    # Any frame of the world will do; the evaluation must not depend on it.
+    turn, shift = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix(), np.array([1.0, -2.0, 0.5])
+    world, images, observations = (points @ turn.T + shift) * UNIT, {}, []
+    for k in range(photos):
+        name = f"{k:03d}.png"
+        Image.fromarray(photo().astype(np.uint8)).save(folder / "images" / name)
+        w2c = np.eye(4)
+        w2c[:3, :3] = turn.T
+        w2c[:3, 3] = -UNIT * (turn.T @ shift + [BASELINE * k, 0, 0])
+        seen = points - [BASELINE * k, 0, 0]
+        uv = FOCAL * seen[:, :2] / seen[:, 2:] + SIDE / 2
+        inside = np.flatnonzero(((uv > 0) & (uv < SIDE)).all(axis=1))
+        observations += [(k, point, *uv[point]) for point in inside]
+        lens = {"fx": FOCAL, "fy": FOCAL, "cx": SIDE / 2, "cy": SIDE / 2}
+        images[name] = lens | {"width": SIDE, "height": SIDE, "w2c": w2c.tolist()}
+    table = np.array(observations)
+    np.savez(
+        folder / "points.npz",
+        xyz=world.astype(np.float32),
+        image_names=np.array(list(images)),
+        obs_image=table[:, 0].astype(np.int64),
+        obs_point=table[:, 1].astype(np.int64),
+        obs_uv=table[:, 2:].astype(np.float32),
+    )
+    (folder / "cameras.json").write_text(json.dumps({"images": images}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("scenes")
+    write_scene(root / "stripes")
+    write_scene(root / "box_shelf", photos=3)
+    return root
+
+
+def run(scenes: Path, model: Path, *options: str) -> tuple[str, dict[tuple[str, ...], float]]:
+    """The printed table, and all medians by kind, views, what, measure and method."""
+    output = scenes / "numbers.json"
+    arguments = [str(model), "--scenes", str(scenes), "--size", str(SIDE), "--json", str(output)]
+    result = CliRunner().invoke(main, [*arguments, *options], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(output.read_text())
+    keys = ("kind", "views", "what", "measure", "method")
+    return result.stdout, {tuple(s[k] for k in keys): s["median"] for s in numbers["summaries"]}
+
+
+def test_a_model_that_is_right_gets_full_marks(scenes: Path, tiny_model: Path) -> None:
+    text, medians = run(scenes, tiny_model, "--rows", "depth,cameras")
+    for views in (2, 4):
+        depth = {k[3:]: v for k, v in medians.items() if k[:3] == ("validation", views, "depth")}
+        assert depth["AbsRel, one scale", "model"] < 0.004  # depth varies within a pixel
+        assert depth["delta<1.25, one scale", "model"] == 1
+        assert depth["AbsRel, one scale", "constant"] > 0.05
+        assert depth["AbsRel, one scale", "plane (oracle)"] > 0.02
+        poses = {k[3:]: v for k, v in medians.items() if k[:3] == ("validation", views, "cameras")}
+        assert poses["rotation (deg)", "model"] < 0.05
+        assert poses["direction (deg)", "model"] < 0.5
+        assert poses["focal length (relative)", "model"] < 1e-3
+        # Nothing moves along stripes, so the classical way has nothing to go by.
+        assert poses["direction (deg)", "SIFT + E"] == 90
+        assert poses["rotation (deg)", "identity"] == pytest.approx(0, abs=1e-5)
+    assert "validation scenes, 2 views: 1 scenes" in text
+    assert "training scenes, 2 views: 1 scenes" in text
+    assert "training scenes, 4 views" not in text  # three photos only
+
+
+def test_an_assumed_focal_length_is_measured(scenes: Path, tiny_model: Path) -> None:
+    _, medians = run(scenes, tiny_model, "--rows", "cameras", "--intrinsics", "assumed")
+    model = medians["validation", 2, "cameras", "focal length (relative)", "model"]
+    # The tiny model believes what it is told: 28 mm equivalent across the square photo.
+    assumed = 28 * np.hypot(SIDE, SIDE) / np.hypot(36, 24)
+    assert model == pytest.approx(abs(assumed / FOCAL - 1), rel=1e-3)
+
+
+def test_the_same_command_gives_the_same_bytes(scenes: Path, tiny_model: Path) -> None:
+    run(scenes, tiny_model, "--rows", "depth,cameras", "--views", "2")
+    first = (scenes / "numbers.json").read_bytes()
+    run(scenes, tiny_model, "--rows", "depth,cameras", "--views", "2")
+    assert (scenes / "numbers.json").read_bytes() == first
+
+
+def test_mistakes_get_one_line(scenes: Path, tiny_model: Path, tmp_path: Path) -> None:
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "cameras.json").write_text("{}")
+    for arguments, code in (
+        ([str(tiny_model), "--scenes", str(tmp_path)], 3),
+        ([str(tmp_path / "none"), "--scenes", str(scenes)], 4),
+        ([str(tiny_model), "--scenes", str(scenes), "--rows", "beauty"], 2),
+    ):
+        result = CliRunner().invoke(main, arguments)
+        assert result.exit_code == code, result.output
+        assert "Error" in result.stderr
+        assert "Traceback" not in result.stderr
+
+
+def test_groups_are_neighbours_and_targets_lie_between(scenes: Path) -> None:
+    scene = load_scene(scenes / "stripes", SIDE)
+    pairs = choose_groups(scene, 2, 6)
+    assert len(pairs) == 6
+    assert len({pair.inputs for pair in pairs}) == 6
+    assert any(pair.target is not None for pair in pairs)
+    for group in pairs:
+        if group.target is not None:
+            assert group.inputs[0] < group.target < group.inputs[1]
+    fours = choose_groups(scene, 4, 6)
+    assert {(g.inputs, g.target) for g in fours} == {
+        ((0, 1, 2, 3), None), ((1, 2, 3, 4), None), ((0, 1, 3, 4), 2),
+    }  # fmt: skip
+    assert len(choose_groups(scene, 2, 1)) == 1
+    assert choose_groups(scene, 8, 4) == []
+
+
+@pytest.mark.parametrize("shape", [(97, 60), (60, 97), (64, 64), (131, 128)])
+def test_cropped_cameras_see_what_the_crop_shows(shape: tuple[int, int]) -> None:
+    """A dot on the photo appears where the cropped camera projects it."""
+    width, height = shape
+    at = np.array([width * 0.47, height * 0.55])
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    dot = 255 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * 4**2))
+    picture = Image.fromarray(np.repeat(dot[..., None], 3, axis=2).astype(np.uint8))
+    fact = {"fx": 80.0, "fy": 80.0, "cx": at[0], "cy": at[1], "width": width, "height": height}
+    camera, zoom, corner = crop_camera(fact | {"w2c": np.eye(4).tolist()}, shape, 48)
+    crop = fit_photo(picture, (48, 48))[..., 0].astype(np.float64)
+    u, v = np.meshgrid(np.arange(48) + 0.5, np.arange(48) + 0.5)
+    found = np.array([(u * crop).sum(), (v * crop).sum()]) / crop.sum()
+    np.testing.assert_allclose(found, [camera.cx, camera.cy], atol=0.05)
+    np.testing.assert_allclose(at * zoom - corner, [camera.cx, camera.cy])
+
+
+@given(
+    st.lists(st.floats(0, 3), min_size=3, max_size=3),
+    st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3),
+)
+@settings(max_examples=30, deadline=None)
+def test_rotation_error_is_the_angle_between(a: list[float], b: list[float]) -> None:
+    one, two = np.eye(4), np.eye(4)
+    one[:3, :3], two[:3, :3] = (Rotation.from_rotvec(r).as_matrix() for r in (a, b))
+    expected = np.degrees((Rotation.from_rotvec(a).inv() * Rotation.from_rotvec(b)).magnitude())
+    assert rotation_error(one, two) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "degrees"),
+    [([1, 0, 0], [2, 0, 0], 0), ([1, 0, 0], [-1, 0, 0], 180), ([1, 1, 0], [3, 0, 0], 45),
+     ([0, 0, 0], [1, 0, 0], 90)],
+)  # fmt: skip
+def test_direction_error(a: list[float], b: list[float], degrees: float) -> None:
+    one, two = np.eye(4), np.eye(4)
+    one[:3, 3], two[:3, 3] = a, b
+    assert direction_error(one, two) == pytest.approx(degrees)
+
+
+@given(st.lists(st.floats(0.01, 60), min_size=1, max_size=20), st.sampled_from([5.0, 10.0, 20.0]))
+@settings(max_examples=50, deadline=None)
+def test_area_under_recall_is_near_the_mean_recall(errors: list[float], limit: float) -> None:
+    """Recall that rises linearly differs from the staircase by at most one error's share."""
+    thresholds = (np.arange(4000) + 0.5) / 4000 * limit
+    staircase = np.mean(np.array(errors)[:, None] <= thresholds)
+    area = area_under_recall(errors, limit)
+    assert abs(area - staircase) <= 1 / len(errors) + 1e-3
+    assert 0 <= area <= 1
+
+
+def test_area_under_recall_by_hand() -> None:
+    assert area_under_recall([0.0, 0.0], 5) == pytest.approx(1)
+    assert area_under_recall([30.0], 20) == 0
+    # From (0, 0) to (5, 1/2), then flat to 10: 5 * 0.25 + 5 * 0.5.
+    assert area_under_recall([5.0, 40.0], 10) == pytest.approx(0.375)
+
+
+def test_the_oracle_plane_ignores_outliers_and_relative_errors_count_factors() -> None:
+    uv = np.random.default_rng(1).uniform(0, 64, (200, 2))
+    depth = np.exp(0.5 + uv @ [0.01, -0.02])
+    wild = depth.copy()
+    wild[:40] *= 8
+    np.testing.assert_allclose(fit_plane(uv, wild), depth, rtol=1e-3)
+    error, close = relative_errors(np.array([1.0, 2.6, 0.0]), np.array([1.0, 2.0, 4.0]))
+    assert error == pytest.approx((0 + 0.3 + 1) / 3)
+    assert close == pytest.approx(1 / 3)
