@@ -64,7 +64,7 @@ Draw a scene along a camera path, or from the cameras of a file.
     "--size",
     type=SizeType(),
     metavar="SIDE|WxH",
-    help="Frame size; by default the cameras' own, or 512 at least.",
+    help="Frame size; by default the camera file's, else the longer side has 512 pixels.",
 )
 @click.option(
     "--background",
