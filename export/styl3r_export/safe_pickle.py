@@ -1,0 +1,142 @@
+"""Torch checkpoint files read as data: whatever they pickle, nothing in them is ever called."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from styl3r_cli.errors import InputError
+
+# What torch calls the storages of each element type.
+STORAGES = {
+    "DoubleStorage": torch.float64,
+    "FloatStorage": torch.float32,
+    "HalfStorage": torch.float16,
+    "BFloat16Storage": torch.bfloat16,
+    "LongStorage": torch.int64,
+    "IntStorage": torch.int32,
+    "ShortStorage": torch.int16,
+    "CharStorage": torch.int8,
+    "ByteStorage": torch.uint8,
+    "BoolStorage": torch.bool,
+}
+# What a tensor's or a parameter's pickle calls, and ours for it.
+TENSOR_MODULE = "torch._utils"
+
+
+class Placeholder:
+    """Stands for an object of a foreign class; it takes every state and does nothing with it."""
+
+    def __init__(self, *_: object, **__: object) -> None: ...
+
+    def __setstate__(self, _: object) -> None: ...
+
+    def __setitem__(self, _: object, __: object) -> None: ...
+
+    def __call__(self, *_: object, **__: object) -> Placeholder:
+        """What a placeholder for a function gives."""
+        return self
+
+    def append(self, _: object) -> None:
+        """Ignore an element that the pickle adds."""
+
+    def extend(self, _: object) -> None:
+        """Ignore elements that the pickle adds."""
+
+    def add(self, _: object) -> None:
+        """Ignore an element that the pickle adds."""
+
+
+class InertUnpickler(pickle.Unpickler):
+    """Builds tensors, containers and plain values; every other class becomes a placeholder."""
+
+    def __init__(self, archive: zipfile.ZipFile, root: str) -> None:
+        super().__init__(archive.open(f"{root}data.pkl"))
+        self.archive, self.root = archive, root
+        self.storages: dict[str, Tensor] = {}
+
+    def find_class(self, module: str, name: str) -> Any:
+        """What a name in the pickle stands for; never the thing itself, but for OrderedDict."""
+        if (module, name) == ("collections", "OrderedDict"):
+            return OrderedDict
+        if module == "torch" and name in STORAGES:
+            return STORAGES[name]
+        rebuild = REBUILD.get(name) if module == TENSOR_MODULE else None
+        if rebuild is not None:
+            return rebuild
+        return type(name.rpartition(".")[2], (Placeholder,), {"__module__": module})
+
+    def persistent_load(self, pid: Any) -> Tensor:
+        """A storage as a flat tensor; several tensors may share it."""
+        match pid:
+            case ("storage", torch.dtype() as dtype, str(key), str(), int(count)):
+                pass
+            case _:
+                raise pickle.UnpicklingError("a storage of an unknown kind")
+        if key not in self.storages:
+            data = bytearray(self.archive.read(f"{self.root}data/{key}"))
+            flat = torch.frombuffer(data, dtype=dtype) if data else torch.empty(0, dtype=dtype)
+            if len(flat) != count:
+                raise pickle.UnpicklingError(f"storage {key} has {len(flat)} of {count} values")
+            self.storages[key] = flat
+        return self.storages[key]
+
+
+def _tensor(storage: Tensor, offset: int, size: Any, stride: Any, *_: object) -> Tensor:
+    """A view into a storage; torch makes sure that it lies inside."""
+    return storage.as_strided(tuple(size), tuple(stride), int(offset))
+
+
+def _parameter(data: Tensor, *_: object) -> Tensor:
+    """A parameter's values."""
+    return data
+
+
+REBUILD: dict[str, Callable[..., Tensor]] = {
+    "_rebuild_tensor": _tensor,
+    "_rebuild_tensor_v2": _tensor,
+    "_rebuild_parameter": _parameter,
+    "_rebuild_parameter_with_state": _parameter,
+}
+
+
+def read_checkpoint(path: Path) -> Any:
+    """The contents of a `torch.save` file, without executing anything in it.
+
+    Files of plain tensors and values are mapped into memory by torch's own restricted reader.
+    Where that refuses (training frameworks pickle hyper parameters and callbacks beside the
+    weights), foreign objects are replaced by placeholders.
+
+    Raises:
+        InputError: the file is missing, or no such checkpoint.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; name a checkpoint")
+    zipped = zipfile.is_zipfile(path)  # torch.save's format since 2020
+    try:
+        with warnings.catch_warnings():  # about pickles that the second reader may well read
+            warnings.simplefilter("ignore")
+            return torch.load(path, map_location="cpu", weights_only=True, mmap=zipped)
+    except Exception as error:
+        if not zipped:
+            message = f"{path}: not a torch checkpoint, or one from before torch 1.6"
+            raise InputError(f"{message}; name a file that torch.save wrote") from error
+    try:
+        with zipfile.ZipFile(path) as archive:
+            pickles = [
+                n for n in archive.namelist() if n.count("/") == 1 and n.endswith("/data.pkl")
+            ]
+            if len(pickles) != 1:
+                raise pickle.UnpicklingError("it holds no pickled data")
+            return InertUnpickler(archive, pickles[0].removesuffix("data.pkl")).load()
+    except Exception as error:  # a damaged pickle can raise anything
+        message = f"{path}: damaged, or not a torch checkpoint ({error})"
+        raise InputError(f"{message}; download it again") from error
