@@ -42,3 +42,21 @@ def photos(tmp_path: Path, make_picture: Callable[..., Path]) -> list[Path]:
 def style(tmp_path: Path, make_picture: Callable[..., Path]) -> Path:
     """A style picture."""
     return make_picture(tmp_path / "style.jpg", seed=99, size=(120, 100))
+
+
+@pytest.fixture
+def run(
+    tiny_model: Path, capsysbinary: pytest.CaptureFixture[bytes]
+) -> Callable[..., tuple[int, bytes, str]]:
+    """Runs a command with the tiny model: exit code, stdout, stderr."""
+
+    def run_command(*arguments: object) -> tuple[int, bytes, str]:
+        from styl3r_cli import main
+
+        capsysbinary.readouterr()
+        command = [*map(str, arguments), "--model", str(tiny_model), "--threads", "1"]
+        code = main.run(command)
+        out, err = capsysbinary.readouterr()
+        return code, out, err.decode()
+
+    return run_command
