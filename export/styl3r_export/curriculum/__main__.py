@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 
 from styl3r_export.curriculum import data, stages
+from styl3r_export.curriculum.novel_views import NovelViewStep
 from styl3r_export.curriculum.perceptual import load_perceptual
 from styl3r_export.curriculum.pictures import PictureBank, flat_batches, training_pictures
 from styl3r_export.curriculum.stylization import StyleBatch, StyleStep, Teacher, style_batches
@@ -20,7 +21,7 @@ from styl3r_export.curriculum.trainer import Schedule, Trainer
 def parse() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(prog="styl3r_export.curriculum", description=__doc__)
-    parser.add_argument("stage", choices=["geometry", "style"])
+    parser.add_argument("stage", choices=["geometry", "novel-views", "style"])
     parser.add_argument("--data", type=Path, required=True, help="folder of scene shards")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--start", type=Path, help="checkpoint to start from")
@@ -47,7 +48,11 @@ def main() -> None:
     args = parse()
     torch.manual_seed(args.seed)
     torch.set_num_threads(args.threads)
-    trains = {"geometry": stages.geometry_trains, "style": stages.appearance_trains}
+    trains = {
+        "geometry": stages.geometry_trains,
+        "novel-views": stages.novel_views_train,
+        "style": stages.appearance_trains,
+    }
     trainer = Trainer(
         args.out,
         Schedule(args.steps, learning_rate=args.learning_rate),
@@ -58,9 +63,13 @@ def main() -> None:
     if args.stem and trainer.step == 0 and not args.start:
         initialise_stem(trainer.model, args.stem)
     seed = args.seed + trainer.step  # a resumed run does not repeat its first batches
-    scenes = data.batches(args.data, seed, args.batch, tuple(args.views))
+    scenes = data.prefetch(data.batches(args.data, seed, args.batch, tuple(args.views)))
     if args.stage == "geometry":
         trainer.run(scenes, stages.geometry_step, seconds=args.seconds)
+    elif args.stage == "novel-views":
+        step = NovelViewStep(load_perceptual(args.perceptual))
+        triples = data.prefetch(data.batches(args.data, seed, args.batch, (3,)))
+        trainer.run(triples, step, seconds=args.seconds)
     else:
         batches, step = style_stage(args, scenes, seed)
         trainer.run(batches, step, seconds=args.seconds)

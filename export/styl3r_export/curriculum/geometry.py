@@ -10,16 +10,20 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from styl3r_export.curriculum.data import Batch
-from styl3r_export.model.adapter import pixel_rays, rotate_vectors
+from styl3r_export.model.adapter import Pose, pixel_rays
 from styl3r_export.model.matching import Matches
 from styl3r_export.model.network import RayDecoding
+from styl3r_export.model.rotations import rotate_vectors, rotation_matrix
 
 # Depth beyond this many units says nothing about the scene's shape (sky, distant hills).
 FAR = 40.0
 # A projected depth this much (relative) behind the depth map is hidden by something.
 OCCLUSION = 0.05
-# Bounds of the predicted log error: 0.7 % to 150 %.
-LOG_ERROR_MIN, LOG_ERROR_MAX = -5.0, 0.4
+
+# A camera this wrong (radians, units) has failed: more of it should not outweigh the rest.
+MOST_TURN, MOST_SHIFT = 0.6, 1.0
+# Keeps a square root's slope finite at zero.
+TINY = 1e-10
 
 WEIGHTS = {
     "depth": 1.0,  # Laplace likelihood with predicted error (DUSt3R's confidence, made a density)
@@ -28,7 +32,7 @@ WEIGHTS = {
     "rotation": 4.0,  # radians
     "centre": 2.0,  # scene units
     "points": 1.0,  # point maps in the first view's frame, relative to depth
-    "matches": 0.1,  # InfoNCE at 1/8 (MASt3R)
+    "matches": 0.5,  # InfoNCE at 1/8 (MASt3R)
 }
 
 
@@ -44,14 +48,12 @@ def geometry_losses(out: RayDecoding, batch: Batch) -> dict[str, Tensor]:
     truth = batch.depth.clamp_max(FAR).log()
     guess = out.depth.float().log()
     error = (guess - truth).abs()
-    log_error = out.confidence.float().clamp(LOG_ERROR_MIN, LOG_ERROR_MAX)
-    rotation, centre = camera_errors(out, batch)
+    log_error = out.log_error.float()
     return {
         "depth": (error * (-log_error).exp() + log_error).mean(),
         "shape": error.mean(),
         "edges": edge_loss(guess - truth),
-        "rotation": rotation.mean(),
-        "centre": centre.mean(),
+        **camera_losses(out, batch),
         "points": point_loss(out, batch),
         "matches": match_loss(out.matches, batch)
         if out.matches is not None
@@ -59,15 +61,24 @@ def geometry_losses(out: RayDecoding, batch: Batch) -> dict[str, Tensor]:
     }
 
 
-def camera_errors(out: RayDecoding, batch: Batch) -> tuple[Tensor, Tensor]:
+def camera_losses(out: RayDecoding, batch: Batch) -> dict[str, Tensor]:
+    """Errors of the cameras at every stage of their making; the last counts in full."""
+    total = {"rotation": batch.depth.new_zeros(()), "centre": batch.depth.new_zeros(())}
+    for pose, share in ((out.pose, 1.0), (out.guessed, 0.3), (out.suggested, 0.3)):
+        rotation, centre = camera_errors(pose, batch)
+        total["rotation"] = total["rotation"] + share * rotation.clamp_max(MOST_TURN).mean()
+        total["centre"] = total["centre"] + share * centre.clamp_max(MOST_SHIFT).mean()
+    return total
+
+
+def camera_errors(pose: Pose, batch: Batch) -> tuple[Tensor, Tensor]:
     """Rotation angle (radians) and centre distance (units) of every view but the first."""
     rotation = batch.extrinsics[:, 1:, :3, :3].transpose(-1, -2)  # camera-to-world
     centre = -(rotation @ batch.extrinsics[:, 1:, :3, 3:]).squeeze(-1)
-    q = out.pose.rotation[:, 1:, None]
-    axes = rotate_vectors(q, torch.eye(3, device=q.device))  # rows: images of the axes
-    chord = (axes.transpose(-1, -2) - rotation).flatten(-2).norm(dim=-1)
+    guess = rotation_matrix(pose.rotation[:, 1:])
+    chord = ((guess - rotation).flatten(-2).square().sum(dim=-1) + TINY).sqrt()
     # ||R1 - R2|| = 2 sqrt(2) sin(angle / 2): linear in small angles, smooth in large ones.
-    return chord / 2**0.5, (out.pose.centre[:, 1:] - centre).norm(dim=-1)
+    return chord / 2**0.5, (pose.centre[:, 1:] - centre).norm(dim=-1)
 
 
 def edge_loss(residual: Float[Tensor, "batch views H W"]) -> Tensor:

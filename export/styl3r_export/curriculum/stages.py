@@ -26,6 +26,11 @@ def geometry_trains(name: str) -> bool:
     return used(name) and not name.startswith(APPEARANCE + ATTRIBUTES)
 
 
+def novel_views_train(name: str) -> bool:
+    """The geometry and the Gaussians' other attributes; colours are the photos' own."""
+    return used(name) and not name.startswith(APPEARANCE)
+
+
 def geometry_step(model: Styl3r, batch: Batch) -> dict[str, Tensor]:
     """Weighted losses of one batch of the geometry stage."""
     content = model.encode(batch.images, batch.intrinsics)

@@ -22,7 +22,7 @@ from styl3r_export.model.adapter import pixel_rays
 WEIGHTS = {
     "teacher": 4.0,  # mean absolute difference to the 2D teacher's picture
     "style": 10.0,  # the paper's weight; here relative to the style's own statistics
-    "content": 1.0,
+    "content": 30.0,
     "identity": 70.0,  # squared difference, content photo as style (published)
     "agreement": 4.0,  # mean absolute difference of one place's colours between views
 }

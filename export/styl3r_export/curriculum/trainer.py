@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -70,7 +69,10 @@ class Trainer:
         model_config = ModelConfig.from_dict(state["config"]) if state else None
         self.model = build(model_config or config).to(self.device)
         if state:
-            self.model.load_state_dict(state["training"] if source == resume else state["model"])
+            if source == resume:
+                self.model.load_state_dict(state["training"])
+            else:
+                load_fitting(self.model, state["model"])
         self.model.train()
         for name, parameter in self.model.named_parameters():
             parameter.requires_grad_(trainable(name))
@@ -109,13 +111,15 @@ class Trainer:
     ) -> None:
         """Train until the schedule or the time ends; checkpoints and log lines on the way."""
         began = saved = time.monotonic()
-        first_step, sums = self.step, {}
+        first_step = self.step
+        sums: dict[str, tuple[float, int]] = {}  # a batch need not have every term
         while self.step < self.schedule.steps and time.monotonic() - began < seconds:
             for name, value in self._train_step(next(data), step).items():
-                sums[name] = sums.get(name, 0.0) + value
+                seen_sum, seen = sums.get(name, (0.0, 0))
+                sums[name] = (seen_sum + value, seen + 1)
             if self.step % log_every == 0:
                 pace = (self.step - first_step) / (time.monotonic() - began)
-                self._log({n: v / log_every for n, v in sums.items()}, pace)
+                self._log({n: total / n_seen for n, (total, n_seen) in sums.items()}, pace)
                 sums = {}
             if time.monotonic() - saved > self.schedule.checkpoint_every:
                 self.save()
@@ -143,8 +147,9 @@ class Trainer:
     @torch.no_grad()
     def _update_average(self) -> None:
         decay = min(self.schedule.average, (self.step + 1) / (self.step + 10))
-        for name, value in self.model.state_dict().items():
-            self.average[name].lerp_(value, 1 - decay)
+        values = self.model.state_dict()
+        kept = [self.average[name] for name in values]
+        torch._foreach_lerp_(kept, list(values.values()), 1 - decay)
 
     def assert_frozen(self) -> None:
         """Raise if a parameter that must not be trained has moved."""
@@ -164,7 +169,7 @@ class Trainer:
         }
         partial = self.folder / "last.pt.partial"
         torch.save(state, partial)
-        os.replace(partial, self.folder / "last.pt")
+        partial.replace(self.folder / "last.pt")
 
     def _log(self, terms: dict[str, float], pace: float) -> None:
         left = (self.schedule.steps - self.step) / max(pace, 1e-9)
@@ -187,3 +192,12 @@ class Trainer:
 def load_checkpoint(path: Path) -> dict[str, Any]:
     """A checkpoint of this project, without executing anything in it."""
     return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def load_fitting(model: Styl3r, weights: dict[str, Tensor]) -> None:
+    """Load what has the model's name and shape, and say what does not."""
+    own = model.state_dict()
+    fitting = {n: w for n, w in weights.items() if n in own and own[n].shape == w.shape}
+    model.load_state_dict(fitting, strict=False)
+    if missing := sorted(set(own) - set(fitting)):
+        print(f"starting anew: {', '.join(missing)}", file=sys.stderr)

@@ -9,6 +9,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from styl3r_export.model.rotations import Motion, multiply_quaternions, rotate_vectors
+
 # First spherical harmonic: rgb = SH_C0 * coefficient + 0.5.
 SH_C0 = 0.28209479177387814
 # Published scales: softplus times this, in world units, at most SCALE_MAX.
@@ -19,6 +21,8 @@ EPS = 1e-8
 # Bounds of mini's log depth: 0.02 to 150 times the scene's unit, wider than any scene it can
 # tell apart, and far from what the exponential would overflow at.
 LOG_DEPTH_MIN, LOG_DEPTH_MAX = -4.0, 5.0
+# Bounds of the predicted log error: 1.8 % to 150 %.
+LOG_ERROR_MIN, LOG_ERROR_MAX = -4.0, 0.4
 # Smallest standard deviation of mini's Gaussians, in pixels of the view that made them: below
 # it a pixel's Gaussian falls between the pixels of a frame.
 FOOTPRINT_MIN = 0.25
@@ -74,43 +78,36 @@ def pixel_rays(
     return torch.stack((x, y, torch.ones_like(x)), dim=-1)
 
 
-def rotate_vectors(q: Float[Tensor, "*batch 4"], v: Float[Tensor, "*batch 3"]) -> Tensor:
-    """Rotate vectors by unit quaternions w x y z (broadcasting)."""
-    w, axis = q[..., :1], q[..., 1:]
-    axis, v = torch.broadcast_tensors(axis, v)
-    t = 2 * torch.linalg.cross(axis, v)
-    return v + w * t + torch.linalg.cross(axis, t)
-
-
-def multiply_quaternions(a: Float[Tensor, "*batch 4"], b: Float[Tensor, "*batch 4"]) -> Tensor:
-    """Hamilton product, w x y z: first b, then a."""
-    aw, ax, ay, az = a.unbind(-1)
-    bw, bx, by, bz = b.unbind(-1)
-    return torch.stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        dim=-1,
-    )
-
-
 class CameraHead(nn.Module):
-    """The decoder's intrinsics token, read as the view's camera; the first view is the world."""
+    """What the decoder's intrinsics token adds to the motion that the matches suggest."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
         self.hidden = nn.Linear(dim, dim)
-        self.out = nn.Linear(dim, 6)  # vector part of a quaternion (w = 1), camera centre
+        self.out = nn.Linear(dim, 6)  # vector part of a quaternion (w = 1), shift
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
 
-    def forward(self, token: Float[Tensor, "batch views dim"]) -> Pose:
-        """Poses of all views."""
-        raw = self.out(F.gelu(self.hidden(token))).float()
-        raw = torch.cat((torch.zeros_like(raw[:, :1]), raw[:, 1:]), dim=1)
-        quaternion = torch.cat((torch.ones_like(raw[..., :1]), raw[..., :3]), dim=-1)
-        return Pose(F.normalize(quaternion, dim=-1), raw[..., 3:])
+    def forward(self, token: Float[Tensor, "batch views dim"], motion: Motion) -> Motion:
+        """World-to-camera motions of all views but the first, (batch * others) pairs."""
+        raw = self.out(F.gelu(self.hidden(token[:, 1:]))).float().flatten(0, 1)
+        turn = torch.cat((torch.ones_like(raw[:, :1]), raw[:, :3]), dim=-1)
+        turn = F.normalize(turn, dim=-1)
+        rotation = multiply_quaternions(turn, motion.rotation)
+        return Motion(rotation, motion.translation + raw[:, 3:])
+
+
+def pose_of_motion(motion: Motion, batch: int) -> Pose:
+    """Camera-to-world poses of all views; the first one is the world."""
+    w, axis = motion.rotation[:, :1], motion.rotation[:, 1:]
+    rotation = torch.cat((w, -axis), dim=-1)
+    centre = -rotate_vectors(rotation, motion.translation)
+    rotation, centre = (t.unflatten(0, (batch, -1)) for t in (rotation, centre))
+    still = torch.cat((torch.ones_like(centre[:, :1, :1]), torch.zeros_like(centre[:, :1])), dim=-1)
+    return Pose(
+        torch.cat((still, rotation), dim=1),
+        torch.cat((torch.zeros_like(centre[:, :1]), centre), dim=1),
+    )
 
 
 def ray_geometry(
@@ -141,6 +138,11 @@ def log_depth(raw: Float[Tensor, "batch views H W"]) -> Float[Tensor, "batch vie
     middle = (LOG_DEPTH_MAX + LOG_DEPTH_MIN) / 2
     reach = (LOG_DEPTH_MAX - LOG_DEPTH_MIN) / 2
     return middle + reach * torch.tanh((raw - middle) / reach)
+
+
+def log_error_of(raw: Float[Tensor, "batch views H W"]) -> Float[Tensor, "batch views H W"]:
+    """Bounded log of the depth's expected relative error."""
+    return raw.clamp(LOG_ERROR_MIN, LOG_ERROR_MAX)
 
 
 def colours_from_sh(raw: Float[Tensor, "batch views 3 H W"]) -> Float[Tensor, "batch views H W 3"]:

@@ -10,13 +10,25 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from styl3r_export.model.bundle import Residuals, Side, adjust, residuals
 from styl3r_export.model.config import ModelConfig
+from styl3r_export.model.rotations import Motion, full_precision
 
 # Numbers that describe the match of one 1/8 cell; four cells make one 16 px token.
-CELL_FEATURES = 9
+CELL_FEATURES = 12
 CELLS_PER_TOKEN = 4
 # Keeps the logarithm of a confidence or a variance finite where nothing matches.
 TINY = 1e-6
+
+# Before anything is decoded, every cell is at the scene's unit depth, give or take a factor of
+# about 1.3 (stiffness is the inverse square of inverse depth's expected error).
+FLAT_STIFFNESS = 10.0
+# Errors at which matches are discounted, by iteration: from a standing camera, then from the
+# decoder's cameras (ray units; a cell of a 256 px picture is about 0.03 wide).
+FIRST_OUTLIERS = (0.5, 0.33, 0.21, 0.14, 0.09, 0.06)
+LAST_OUTLIERS = (0.12, 0.08, 0.05, 0.03)
+# Spread of a match (ray units) that halves its weight.
+SHARP = 0.05
 
 # Sharpness of the softmax at the start: flow features matched real photos best at 2 to 4.
 INITIAL_TEMPERATURE = 3.0
@@ -43,6 +55,14 @@ def cell_rays(
     return torch.stack((ray_x, ray_y), dim=-1).flatten(-3, -2)
 
 
+class Pairs(NamedTuple):
+    """Matches of every view with the first, (batch * others) pairs, and a motion they suggest."""
+
+    here: Side  # the first view's cells, repeated for each other view
+    there: Side  # the other view's cells
+    motion: Motion
+
+
 class StarMatching(nn.Module):
     """Match every view with the first one, and describe the matches token by token."""
 
@@ -53,6 +73,7 @@ class StarMatching(nn.Module):
         self.log_temperature = nn.Parameter(torch.tensor(math.log(INITIAL_TEMPERATURE)))
         self.first = nn.Sequential(nn.Linear(width, dim), nn.GELU(), nn.Linear(dim, dim))
         self.rest = nn.Sequential(nn.Linear(width, dim), nn.GELU(), nn.Linear(dim, dim))
+        self.camera = nn.Linear(7, dim)
         self.scale = 1 / math.sqrt(channels)
 
     def correlate(self, maps: Float[Tensor, "batch views channels h w"]) -> Matches:
@@ -62,41 +83,93 @@ class StarMatching(nn.Module):
         corr = corr * (self.scale * self.log_temperature.exp())
         return Matches(F.log_softmax(corr, dim=-1), F.log_softmax(corr, dim=-2))
 
-    def forward(
-        self,
-        maps: Float[Tensor, "batch views channels h w"],
-        intrinsics: Float[Tensor, "batch views 3 3"],
-    ) -> tuple[Float[Tensor, "batch views tokens+1 dim"], Matches]:
-        """What to add to the decoder's tokens (zero for the intrinsics token), and the matches."""
+    def solve(self, maps: Tensor, intrinsics: Tensor) -> tuple[Matches, Pairs, Tensor, Tensor]:
+        """Matches, cameras from them, and what the cells of both sides of each pair know."""
         rows, columns = maps.shape[-2:]
         matches = self.correlate(maps)
         rays = cell_rays(intrinsics, rows, columns)
         joint = (matches.forward + matches.backward).exp()
-        first = describe(joint, rays[:, :1], rays[:, 1:])
-        rest = describe(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1])
-        token0 = self.first(to_tokens(first, rows, columns)).mean(dim=1, keepdim=True)
-        tokens = torch.cat((token0, self.rest(to_tokens(rest, rows, columns))), dim=1)
-        return F.pad(tokens, (0, 0, 0, 1)), matches
+        here, spread_here = expect(joint, rays[:, :1], rays[:, 1:])
+        there, spread_there = expect(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1])
+        still = Motion(*standing(here.rays))
+        motion, rho_here, rho_there = adjust(still, here, there, FIRST_OUTLIERS)
+        fit_here = residuals(motion, here, rho_here, back=False)
+        fit_there = residuals(motion, there, rho_there, back=True)
+        first = describe(here, spread_here, rho_here, fit_here)
+        rest = describe(there, spread_there, rho_there, fit_there)
+        return matches, Pairs(here, there, motion), first, rest
+
+    def forward(
+        self,
+        maps: Float[Tensor, "batch views channels h w"],
+        intrinsics: Float[Tensor, "batch views 3 3"],
+    ) -> tuple[Float[Tensor, "batch views tokens+1 dim"], Matches, Pairs]:
+        """What to add to the decoder's tokens, the matches, and the cameras they suggest."""
+        rows, columns = maps.shape[-2:]
+        with full_precision(maps):
+            matches, pairs, first, rest = self.solve(maps, intrinsics)
+        batch = (len(maps), maps.shape[1] - 1)
+        token0 = self.first(to_tokens(first.unflatten(0, batch), rows, columns))
+        tokens = self.rest(to_tokens(rest.unflatten(0, batch), rows, columns))
+        camera = self.camera(torch.cat(pairs.motion, dim=-1)).unflatten(0, batch)
+        tokens = torch.cat((tokens, camera[:, :, None]), dim=2)
+        token0 = F.pad(token0.mean(dim=1, keepdim=True), (0, 0, 0, 1))
+        return torch.cat((token0, tokens), dim=1), matches, pairs
 
 
-def describe(
+def standing(
+    rays: Float[Tensor, "pairs cells 2"],
+) -> tuple[Float[Tensor, "pairs 4"], Float[Tensor, "pairs 3"]]:
+    """The motion of a camera that stays where it is."""
+    zero = torch.zeros_like(rays[:, 0, :1])
+    return torch.cat((zero + 1, zero, zero, zero), -1), torch.cat((zero, zero, zero), -1)
+
+
+def expect(
     joint: Float[Tensor, "batch others here there"],
     here: Float[Tensor, "batch _ here 2"],
     there: Float[Tensor, "batch _ there 2"],
-) -> Float[Tensor, "batch others here features"]:
-    """Own ray, expected ray of the match, displacement, spread and confidence of each cell."""
-    confidence = joint.sum(dim=-1, keepdim=True)
-    weight = joint / (confidence + TINY)
+) -> tuple[Side, Float[Tensor, "pairs here"]]:
+    """Each cell's expected match, and the variance of where it may be."""
+    confidence = joint.sum(dim=-1)
+    weight = joint / (confidence[..., None] + TINY)
     expected = weight @ there
-    second = weight @ there.square().sum(dim=-1, keepdim=True)
-    variance = (second - expected.square().sum(dim=-1, keepdim=True)).clamp_min(TINY)
-    own = here.expand_as(expected)
+    second = (weight @ there.square().sum(dim=-1, keepdim=True)).squeeze(-1)
+    variance = (second - expected.square().sum(dim=-1)).clamp_min(TINY)
+    sharp = confidence / (1 + variance / SHARP**2)
+    one = torch.ones_like(confidence)
+    side = (here.expand_as(expected), expected, sharp, one, one * FLAT_STIFFNESS)
+    return Side(*(t.flatten(0, 1) for t in side)), variance.flatten(0, 1)
+
+
+def describe(
+    side: Side, variance: Tensor, rho: Tensor, fit: Residuals
+) -> Float[Tensor, "pairs cells features"]:
+    """Numbers a cell: own ray, match, shift, spread, weight, triangulated depth and its worth."""
     # Where nothing matches the expectation is noise: fade it out rather than learn to ignore it.
-    shift = (expected - own) * confidence
-    log_confidence = (confidence + TINY).log()
-    return torch.cat(
-        (own, expected * confidence, shift, variance.log(), confidence, log_confidence), dim=-1
-    )
+    weight = side.weight[..., None]
+    numbers = (variance.log(), side.weight, (side.weight + TINY).log(), rho.log())
+    worth = ((fit.information + TINY).log(), fit.error.log())
+    scalars = torch.stack((*numbers, *worth), dim=-1)
+    shift = (side.matched - side.rays) * weight
+    return torch.cat((side.rays, side.matched * weight, shift, scalars), dim=-1)
+
+
+def settle(
+    pairs: Pairs, guess: Motion, depth: Float[Tensor, "batch views cells"], log_error: Tensor
+) -> Motion:
+    """The motion once more, now with decoded depths and their expected relative errors."""
+    others = depth.shape[1] - 1
+    rho = 1 / depth
+    stiffness = (depth * (-log_error).exp()).square()
+
+    def side(cells: Side, which: slice) -> Side:
+        prior, stiff = (t[:, which].expand(-1, others, -1).flatten(0, 1) for t in (rho, stiffness))
+        return cells._replace(prior=prior, stiffness=stiff)
+
+    here, there = side(pairs.here, slice(0, 1)), side(pairs.there, slice(1, None))
+    with full_precision(depth):
+        return adjust(guess, here, there, LAST_OUTLIERS)[0]
 
 
 def to_tokens(

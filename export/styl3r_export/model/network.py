@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from styl3r_export.model.adapter import (
     CameraHead,
@@ -16,12 +17,14 @@ from styl3r_export.model.adapter import (
     colours_from_sh,
     free_geometry,
     log_depth,
+    log_error_of,
+    pose_of_motion,
     ray_geometry,
 )
 from styl3r_export.model.backbone import Backbone
 from styl3r_export.model.config import CONFIGS, PATCH, ModelConfig
 from styl3r_export.model.dpt import STRUCTURE_CHANNELS, GaussianTrunk, Head, PointTrunk
-from styl3r_export.model.matching import Matches, StarMatching
+from styl3r_export.model.matching import Matches, StarMatching, settle
 from styl3r_export.model.stem import Pyramid, PyramidStem
 from styl3r_export.model.stylizer import TokenStylizer
 
@@ -47,9 +50,11 @@ class RayDecoding(NamedTuple):
     """What a network with points on rays knows before it makes Gaussians; training reads it."""
 
     depth: Float[Tensor, "batch views H W"]  # along the view's z axis
-    confidence: Float[Tensor, "batch views H W"]  # log of the depth's expected relative error
+    log_error: Float[Tensor, "batch views H W"]  # log of the depth's expected relative error
     pose: Pose
-    matches: Matches | None
+    guessed: Pose  # before the decoded depths were matched
+    suggested: Pose  # by the matches alone
+    matches: Matches
     hooks: tuple[Tensor, ...]  # (batch * views, patches, dim) each
 
 
@@ -184,13 +189,22 @@ class Styl3r(nn.Module):
         rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
         assert content.pyramid is not None
         maps = content.pyramid.eighth.unflatten(0, images.shape[:2])
-        tokens, matches = self.matching(maps, intrinsics) if self.config.matching else (None, None)
+        tokens, matches, pairs = self.matching(maps, intrinsics)
         hooks, camera = self.backbone.decode(content.tokens, rows, columns, tokens)
         flat = tuple(h.flatten(0, 1) for h in hooks)
         raw = self.downstream_head1(flat, rows, columns, content.pyramid)
         raw = raw.unflatten(0, images.shape[:2])
-        depth = log_depth(raw[:, :, 0]).exp()
-        return RayDecoding(depth, raw[:, :, 1], self.camera_head(camera), matches, flat)
+        depth, log_error = log_depth(raw[:, :, 0]).exp(), log_error_of(raw[:, :, 1])
+        guess = self.camera_head(camera, pairs.motion)
+        # Depth changes less within a cell than it differs between a cell's centre and its mean,
+        # so the four pixels at the centre stand for it.
+        cells = (F.avg_pool2d(t[..., 3:-3, 3:-3], 2, 8).flatten(2) for t in (depth, log_error))
+        motion = settle(pairs, guess, *cells)
+        batch = len(images)
+        return RayDecoding(
+            depth, log_error, pose_of_motion(motion, batch), pose_of_motion(guess, batch),
+            pose_of_motion(pairs.motion, batch), matches, flat,
+        )  # fmt: skip
 
     def _ray_structure(self, content: Content, images: Tensor, intrinsics: Tensor) -> Structure:
         rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
