@@ -30,14 +30,14 @@ def _strew(
 def _legs(rng: np.random.Generator, half: Vector, height: float) -> list[Mesh]:
     thick, inset = rng.uniform(0.025, 0.08), rng.uniform(0.8, 1.0)
     round_legs = rng.random() < 0.4
-    legs = []
+    made = []
     for sx in (-1, 1):
         for sy in (-1, 1):
             foot = (sx * inset * (half[0] - thick), sy * inset * (half[1] - thick), 0)
             leg = cylinder(thick / 2, height, thick / 1.5, 10) if round_legs else None
             leg = leg or box((thick, thick, height), (0, 0, height / 2))
-            legs.append(leg.placed(foot))
-    return legs
+            made.append(leg.placed(foot))
+    return made
 
 
 def table(builder: SceneBuilder, at: Vector, turn: float) -> None:
@@ -51,8 +51,8 @@ def table(builder: SceneBuilder, at: Vector, turn: float) -> None:
         board = cylinder(half[0], thick, sides=32).placed((0, 0, height - thick / 2))
     look = builder.material(1.5)
     _put(builder, [board], at, turn, look)
-    legs = look if rng.random() < 0.6 else builder.material(0.5)
-    _put(builder, _legs(rng, 0.85 * half, height), at, turn, legs)
+    feet = look if rng.random() < 0.6 else builder.material(0.5)
+    _put(builder, _legs(rng, 0.85 * half, height), at, turn, feet)
     _strew(builder, at, turn, half * 0.8, height + thick / 2, 7)
 
 

@@ -30,10 +30,10 @@ class TextureBank:
         self.photos, self.patterns = photos, patterns
 
     @classmethod
-    def procedural(cls, seed: int, count: int = PATTERN_COUNT) -> "TextureBank":
-        """Patterns only: no picture that anyone else made."""
+    def procedural(cls, seed: int, count: int | None = None) -> "TextureBank":
+        """Patterns only (PATTERN_COUNT of them, or count): no picture that anyone else made."""
         rng = np.random.default_rng([seed, 7])
-        patterns = np.stack([draw_pattern(rng) for _ in range(count)])
+        patterns = np.stack([draw_pattern(rng) for _ in range(count or PATTERN_COUNT)])
         return cls(np.zeros((0, SIDE, SIDE, 3), np.uint8), patterns)
 
     @classmethod

@@ -1,0 +1,1 @@
+"""The example room's photographs and the example style pictures, all made by this project."""
