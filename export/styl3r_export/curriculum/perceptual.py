@@ -32,11 +32,14 @@ class SlimVgg(nn.Module):
               ("conv32", "conv33", "conv34", "conv41"))  # fmt: skip
     POOLED = ("conv21", "conv31", "conv41")
 
-    def __init__(self, weights: Path) -> None:
+    def __init__(self, weights: Path, *, widened: bool = True) -> None:
+        """`widened`: with the 1x1 convolutions to VGG19's own channels (several times the cost)."""
         super().__init__()
         arrays = load_npz(weights)
-        names = [name for level in self.LEVELS for name in level]
-        names += ["conv0", *(f"{level[-1]}_aux" for level in self.LEVELS)]
+        self.widened = widened
+        names = ["conv0", *(name for level in self.LEVELS for name in level)]
+        if widened:
+            names += [f"{level[-1]}_aux" for level in self.LEVELS]
         self.convs = nn.ModuleDict()
         for name in names:
             weight = arrays[f"{name}.weight"]
@@ -54,7 +57,8 @@ class SlimVgg(nn.Module):
                 if name in self.POOLED:
                     x = F.max_pool2d(x, 2)
                 x = F.relu(self.convs[name](F.pad(x, (1, 1, 1, 1), mode="reflect")))
-            features.append(F.relu(self.convs[f"{level[-1]}_aux"](x)))
+            wide = F.relu(self.convs[f"{level[-1]}_aux"](x)) if self.widened else x
+            features.append(wide)
         return features
 
 
@@ -96,7 +100,9 @@ class TorchvisionVgg(nn.Module):
 
 def load_perceptual(weights: Path) -> nn.Module:
     """The network whose weights a file holds: .npz is the slim VGG19, else torchvision's."""
-    return SlimVgg(weights) if weights.suffix == ".npz" else TorchvisionVgg(weights)
+    slim = weights.suffix == ".npz"
+    network = SlimVgg(weights, widened=False) if slim else TorchvisionVgg(weights)
+    return network.to(memory_format=torch.channels_last)
 
 
 def statistics(

@@ -73,7 +73,8 @@ class Trainer:
                 self.model.load_state_dict(state["training"])
             else:
                 load_fitting(self.model, state["model"])
-        self.model.train()
+        # Convolutions in half precision are up to twice as fast with the channels innermost.
+        self.model.train().to(memory_format=torch.channels_last)
         for name, parameter in self.model.named_parameters():
             parameter.requires_grad_(trainable(name))
         self.frozen = {
