@@ -19,7 +19,7 @@ from styl3r_cli.errors import ExitCode, Styl3rError
 COMMANDS = {
     "stylize": ("stylize", "Photos and a style picture become a stylized 3D scene."),
     "reconstruct": ("reconstruct", "Photos become a 3D scene in their own colours."),
-    "render": ("render", "A scene becomes a video or a folder of pictures."),
+    "render": ("render", "A scene becomes a video or a folder of frames."),
     "export": ("export", "A checkpoint becomes a model folder (needs the extra 'export')."),
 }
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback

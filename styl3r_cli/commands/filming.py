@@ -1,13 +1,14 @@
-"""What `render` does: a scene and cameras in, a video or numbered pictures out."""
+"""What `render` does: a scene and cameras in, a video or numbered frames out."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from styl3r_cli import __version__
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.framing import cropped
 from styl3r_cli.cameras.paths import make_path
@@ -18,9 +19,12 @@ from styl3r_cli.console import Console
 from styl3r_cli.errors import OutputError, UsageError
 from styl3r_cli.files import read_stdin, write_stdout
 from styl3r_cli.formats import Scene, read_scene
-from styl3r_cli.frames import Colour, Picture, draw_path, enlarged, write_png
+from styl3r_cli.frames import Colour, draw_path, enlarged, write_png
+from styl3r_cli.gaussians import Gaussians
 
-VIDEO_SUFFIX, PICTURE_SUFFIX = ".mp4", ".png"
+VIDEO, PICTURE, LINEAR = ".mp4", ".png", ".exr"
+DEFAULT_BACKGROUND = "black"
+SCENE_KEYS = ("generator", "model")  # of a scene's metadata, for the frames made of it
 LEAST_SIDE = 512  # stored cameras have the network's few pixels; Gaussians are smooth between them
 
 
@@ -35,8 +39,13 @@ class RenderRequest:
     frames: int
     fps: float
     size: tuple[int, int] | None
-    background: str
+    background: str | None
     threads: int | None
+
+    @property
+    def kind(self) -> str:
+        """The suffix of the output, in lower case; standard output gets a video."""
+        return VIDEO if self.output == STDOUT else Path(self.output).suffix.lower()
 
 
 def film(request: RenderRequest, quiet: bool) -> None:
@@ -46,7 +55,8 @@ def film(request: RenderRequest, quiet: bool) -> None:
         Styl3rError: the scene, the cameras or the output is unusable.
     """
     console = Console(quiet)
-    background = parse_colour(request.background)
+    asked = request.background
+    background = parse_colour(DEFAULT_BACKGROUND if asked is None else asked)
     _check(request)
     with console.stage("scene"):
         scene = read_scene(read_stdin() if request.scene == STDOUT else Path(request.scene))
@@ -54,8 +64,10 @@ def film(request: RenderRequest, quiet: bool) -> None:
             console.note(note)
         cameras = _frame_cameras(request, scene, console)
     with console.stage("render", len(cameras)) as drawn:
-        pictures = draw_path(scene.gaussians, cameras, background, request.threads, drawn)
-        _write(request, pictures, len(cameras))
+        if request.kind == LINEAR:
+            _write_linear(request, scene, cameras, drawn)
+        else:
+            _write(request, scene.gaussians, cameras, background, drawn)
 
 
 def parse_colour(text: str) -> Colour:
@@ -80,8 +92,10 @@ def _check(request: RenderRequest) -> None:
         check_stdout("-o -")
         return
     path = Path(request.output).expanduser()
-    if path.suffix.lower() not in (VIDEO_SUFFIX, PICTURE_SUFFIX):
-        raise UsageError(f"-o {path}: name a video (OUT.mp4) or pictures (DIR/%04d.png)")
+    if request.kind not in (VIDEO, PICTURE, LINEAR):
+        raise UsageError(f"-o {path}: name a video (OUT.mp4) or frames (DIR/%04d.png, .exr)")
+    if request.kind == LINEAR and request.background is not None:
+        raise UsageError("--background: EXR frames keep their alpha; put them on anything later")
     if _is_pattern(path):
         _make_folder(path.parent)
         path = _numbered(path, 0)
@@ -115,22 +129,54 @@ def _frame_cameras(request: RenderRequest, scene: Scene, console: Console) -> li
     return cameras
 
 
-def _write(request: RenderRequest, pictures: Iterable[Picture], count: int) -> None:
+def _write(
+    request: RenderRequest,
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    background: Colour,
+    drawn: Callable[[], None],
+) -> None:
+    """A video, or PNG pictures."""
     path = Path(request.output).expanduser()
-    if request.output == STDOUT or path.suffix.lower() == VIDEO_SUFFIX:
+    pictures = draw_path(gaussians, cameras, background, request.threads, drawn)
+    if request.kind == VIDEO:
         from styl3r_cli.video import write_video
 
         whole = io.BytesIO()
         write_video(whole if request.output == STDOUT else path, pictures, request.fps)
         if request.output == STDOUT:
             write_stdout(whole.getvalue())
-    elif _is_pattern(path):
-        for index, picture in enumerate(pictures):
-            write_png(_numbered(path, index), picture)
-    elif count == 1:
-        write_png(path, next(iter(pictures)))
-    else:
-        raise UsageError(f"-o {path}: {count} frames need numbered names, such as %04d.png")
+        return
+    names = _frame_names(path, len(cameras))
+    for name, picture in zip(names, pictures, strict=True):
+        write_png(name, picture)
+
+
+def _write_linear(
+    request: RenderRequest, scene: Scene, cameras: Sequence[Camera], drawn: Callable[[], None]
+) -> None:
+    """EXR frames, with what the scene says of its own origin."""
+    from styl3r_cli.exr import write_exr
+    from styl3r_cli.splatting import render
+
+    told = {key: scene.metadata[key] for key in SCENE_KEYS if key in scene.metadata}
+    provenance = {"software": f"styl3r {__version__}"}
+    provenance |= {f"styl3r.{key}": value for key, value in told.items()}
+    names = _frame_names(Path(request.output).expanduser(), len(cameras))
+    for name, camera in zip(names, cameras, strict=True):
+        frame = render(scene.gaussians, camera, None, threads=request.threads)
+        write_exr(name, frame, camera, provenance)
+        drawn()
+
+
+def _frame_names(path: Path, count: int) -> list[Path]:
+    """A file for each frame; one frame alone needs no number."""
+    if _is_pattern(path):
+        return [_numbered(path, index) for index in range(count)]
+    if count > 1:
+        message = f"{count} frames need numbered names, such as %04d{path.suffix}"
+        raise UsageError(f"-o {path}: {message}")
+    return [path]
 
 
 def _is_pattern(path: Path) -> bool:

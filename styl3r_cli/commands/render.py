@@ -1,4 +1,4 @@
-"""`styl3r render`: a scene becomes a video or a folder of pictures."""
+"""`styl3r render`: a scene becomes a video or a folder of frames."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ Draw a scene along a camera path, or from the cameras of a file.
   styl3r render scene.ply -o scene.mp4
   styl3r render scene.ply --path interpolate --frames 240 --size 1280x720 -o tour.mp4
   styl3r render scene.ply --cameras transforms.json -o views/%04d.png
+  styl3r render scene.ply -o frames/%04d.exr
   styl3r stylize photos/ --style art.jpg -o - | styl3r render - -o scene.mp4
+
+EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and the camera.
 """
 
 
@@ -34,8 +37,8 @@ Draw a scene along a camera path, or from the cameras of a file.
     "--output",
     "-o",
     required=True,
-    metavar="OUT.mp4|DIR/%04d.png|-",
-    help="A video, or numbered pictures; '-' writes the video to standard output.",
+    metavar="OUT.mp4|DIR/%04d.png|DIR/%04d.exr|-",
+    help="A video, or numbered frames; '-' writes the video to standard output.",
 )
 @click.option(
     "--path",
@@ -68,10 +71,9 @@ Draw a scene along a camera path, or from the cameras of a file.
 )
 @click.option(
     "--background",
-    default="black",
-    show_default=True,
     metavar="COLOUR",
-    help="What is behind the scene: a name, #rrggbb or rgb(r,g,b).",
+    help="What is behind the scene: a name, #rrggbb or rgb(r,g,b); by default black. "
+    "EXR frames keep their alpha instead.",
 )
 @threads_option
 @quiet_option
@@ -83,7 +85,7 @@ def command(
     frames: int | None,
     fps: float,
     size: tuple[int, int] | None,
-    background: str,
+    background: str | None,
     threads: int | None,
     quiet: bool,
 ) -> None:

@@ -146,6 +146,8 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
         (["{scene}", "-o", "x.png", "--frames", "2"], 2, "numbered names"),
         (["{scene}", "-o", "%d_%d.png"], 2, "one frame number"),
         (["{scene}", "-o", "%s%d.png"], 2, "one frame number"),
+        (["{scene}", "-o", "x.exr"], 2, "numbered names, such as %04d.exr"),
+        (["{scene}", "-o", "x.exr", "--frames", "1", "--background", "red"], 2, "keep their alpha"),
         (["{scene}", "-o", "no/x.mp4"], 6, "does not exist"),
         (["{scene}", "-o", "x.mp4", "--background", "greenish"], 2, "greenish"),
         (["{scene}", "-o", "x.mp4", "--cameras", "{cameras}", "--frames", "3"], 2, "--path"),

@@ -1,0 +1,107 @@
+"""Frames for compositors: scene-linear OpenEXR with alpha, depth and the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.errors import OutputError
+from styl3r_cli.files import atomic_write
+from styl3r_cli.gaussians import FloatArray
+
+if TYPE_CHECKING:
+    from styl3r_cli.splatting import Frame
+
+# Depth where there is nothing: what Blender writes. Far behind everything for a depth merge, and
+# unlike infinity it survives a filter that multiplies it by 0.
+EMPTY_DEPTH = 1e10
+LARGEST_HALF = 65504.0
+# Red, green, blue and white of Rec. 709, as x and y; and the name that OpenEXR 3.4 has for them.
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+COLOUR_SPACE = "lin_rec709_scene"
+# sRGB's transfer function (IEC 61966-2-1): a straight line up to the knee, then a power.
+KNEE, SLOPE = 0.04045, 12.92
+OFFSET, EXPONENT = 0.055, 2.4
+# OpenEXR's camera space is left-handed: y up, and z forward as ours.
+EXR_FROM_OPENCV = np.diag([1.0, -1.0, 1.0, 1.0])
+
+
+def write_exr(path: Path, frame: Frame, camera: Camera, provenance: Mapping[str, str]) -> None:
+    """Write one frame: R, G, B, A as half floats and Z as float, ZIP-compressed scan lines.
+
+    Colours are scene-linear Rec. 709, multiplied by alpha. Gaussians are blended in sRGB, so the
+    blend is divided by alpha, made linear, and multiplied by alpha again. Z is the mean distance
+    along the view axis in scene units, EMPTY_DEPTH where alpha is 0. The standard attributes
+    `worldToCamera` and `worldToNDC` hold the camera.
+
+    Args:
+        path: where to write.
+        frame: rendered without a background.
+        camera: the frame's.
+        provenance: attributes by name, as text.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    import OpenEXR
+
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "chromaticities": REC709,
+        "colorInteropID": COLOUR_SPACE,
+        "worldToCamera": _row_vectors(EXR_FROM_OPENCV @ camera.extrinsics),
+        "worldToNDC": _row_vectors(_projection(camera) @ camera.extrinsics),
+        **provenance,
+    }
+    colour = linear_premultiplied(frame.colour, frame.alpha).clip(0, LARGEST_HALF)
+    channels: dict[str, NDArray[np.float16] | FloatArray] = {
+        name: np.ascontiguousarray(colour[..., index], np.float16)
+        for index, name in enumerate("RGB")
+    }
+    channels["A"] = frame.alpha.astype(np.float16)
+    channels["Z"] = np.where(frame.alpha > 0, frame.depth, np.float32(EMPTY_DEPTH))
+    with atomic_write(path) as temporary:
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as error:  # the library's own; its message names the temporary file
+            raise OutputError(f"cannot write {path}: OpenEXR failed (is the disk full?)") from error
+
+
+def linear_premultiplied(colour: FloatArray, alpha: FloatArray) -> FloatArray:
+    """(H, W, 3) sRGB times alpha to linear times alpha; negative colours become 0."""
+    weight = alpha[..., None]
+    straight = np.divide(colour, weight, out=np.zeros_like(colour), where=weight > 0)
+    return linear_from_srgb(straight) * weight
+
+
+def linear_from_srgb(colour: FloatArray) -> FloatArray:
+    """Undo sRGB's transfer function, continued above 1; below 0 there is nothing."""
+    positive = np.clip(colour, 0, LARGEST_HALF)  # the power of more could overflow
+    power = ((positive + OFFSET) / (1 + OFFSET)) ** EXPONENT
+    return np.where(positive <= KNEE, positive / SLOPE, power).astype(np.float32)
+
+
+def _projection(camera: Camera) -> NDArray[np.float64]:
+    """Camera space to OpenEXR's NDC: (0, 0) and (1, 1) are the frame's corners, y goes down.
+
+    The third coordinate, which readers discard, is 1 / z: so the matrix has an inverse.
+    """
+    return np.array(
+        [
+            [camera.fx / camera.width, 0, camera.cx / camera.width, 0],
+            [0, camera.fy / camera.height, camera.cy / camera.height, 0],
+            [0, 0, 0, 1],
+            [0, 0, 1, 0],
+        ]
+    )
+
+
+def _row_vectors(matrix: NDArray[np.float64]) -> NDArray[np.float32]:
+    """As OpenEXR's matrices are: points are rows, multiplied from the left."""
+    return np.ascontiguousarray(matrix.T, np.float32)
