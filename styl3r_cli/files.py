@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from styl3r_cli.errors import InputError, OutputError, UsageError
 
@@ -65,7 +66,7 @@ def write_stdout(data: bytes) -> None:
             "-o -: standard output is a terminal; pipe it into a program or redirect it to a file"
         )
     try:
-        sys.stdout.buffer.write(data)
+        _write_all(sys.stdout.buffer, data)
         sys.stdout.buffer.flush()
     except BrokenPipeError as error:
         # The interpreter flushes stdout again at exit; give it somewhere harmless to do so.
@@ -75,6 +76,13 @@ def write_stdout(data: bytes) -> None:
         raise OutputError(message) from error
     except OSError as error:
         raise OutputError(_cannot_write("standard output", error)) from error
+
+
+def _write_all(stream: IO[bytes], data: bytes) -> None:
+    """Until the last byte: with PYTHONUNBUFFERED=1 the stream is raw and may take a part only."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[stream.write(rest) or 0 :]
 
 
 def read_stdin() -> bytes:

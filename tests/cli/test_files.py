@@ -133,3 +133,16 @@ def test_closed_pipe_is_one_error_without_noise_at_exit() -> None:
     os.close(writer)
     assert result.stderr.decode().strip().endswith("closed it early")
     assert result.stderr.count(b"\n") == 1
+
+
+def test_reader_that_leaves_early_is_noticed_without_buffering() -> None:
+    """A raw stream (python -u) does not fail: it takes a part, says so, and fails the next time."""
+    code = "try: write_stdout(b'x' * 10**6)\nexcept OutputError as e: raise SystemExit(str(e))"
+    command = [sys.executable, "-u", "-c", f"from styl3r_cli.files import *\n{code}"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, bufsize=0) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.read(100) == b"x" * 100
+        process.stdout.close()
+        assert process.stderr.read().decode().strip().endswith("closed it early")

@@ -105,8 +105,7 @@ def test_two_programs_in_a_pipe(
     assert picture.shape == (512, 512, 3)
     assert picture.std() > 10
     command = f"{stylize} | head -c 100 > /dev/null; exit ${{PIPESTATUS[0]}}"
-    buffered = {name: text for name, text in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    result = subprocess.run(["bash", "-c", command], capture_output=True, check=False, env=buffered)
+    result = subprocess.run(["bash", "-c", command], capture_output=True, check=False)
     assert (result.returncode, result.stderr) == (141, b"")
     command = f"{stylize.replace('-o -', '--json -o s.ply')} | true; exit ${{PIPESTATUS[0]}}"
     result = subprocess.run(["bash", "-c", command], capture_output=True, cwd=tmp_path, check=False)
