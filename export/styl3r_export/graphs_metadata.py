@@ -15,10 +15,10 @@ from styl3r_cli import __version__, manifest
 from styl3r_export.model.config import PATCH
 from styl3r_export.model.network import Styl3r
 
-# The published checkpoints read a painting in [0, 1] and a content photo that stands in for a
-# style in [-1, 1] (spec section 7); mini is trained the same way.
+# Every network reads a painting in [0, 1]; the published ones read a content photo that stands
+# in for a style in [-1, 1] (spec section 7), mini in [0, 1] too.
 PAINTING_RANGE = (0.0, 1.0)
-PHOTO_AS_STYLE_RANGE = (-1.0, 1.0)
+PHOTO_AS_STYLE_RANGES = {"signed": (-1.0, 1.0), "unit": (0.0, 1.0)}
 # Height and width of the pictures that all published networks, and mini, were trained with.
 TRAINED_SIZE = (16 * PATCH, 16 * PATCH)
 
@@ -77,7 +77,7 @@ def describe(
             manifest.PROP_TOOLS: json.dumps(versions),
             manifest.PROP_VERSION: __version__,
             manifest.PROP_PAINTING_RANGE: json.dumps(PAINTING_RANGE),
-            manifest.PROP_PHOTO_RANGE: json.dumps(PHOTO_AS_STYLE_RANGE),
+            manifest.PROP_PHOTO_RANGE: json.dumps(PHOTO_AS_STYLE_RANGES[model.config.photo_as_style]),
             manifest.PROP_INPUT_SIZE: json.dumps(TRAINED_SIZE),
         }
     )

@@ -75,7 +75,9 @@ class StyleStep:
         images = batch.scenes.images
         with torch.no_grad():
             tokens = model.encode(images, batch.scenes.intrinsics).tokens
-        own = images[:, 0] * 2 - 1  # a content photo as style is read in [-1, 1]
+        own = images[:, 0]
+        if model.config.photo_as_style == "signed":
+            own = own * 2 - 1
         if batch.strength == 0:
             colours = stylise(model, tokens, own[:, None], torch.ones(1), images)
             return {"identity": WEIGHTS["identity"] * F.mse_loss(colours, images)}

@@ -153,7 +153,7 @@ def colours_from_sh(raw: Float[Tensor, "batch views 3 H W"]) -> Float[Tensor, "b
 def colours_from_affine(
     raw: Float[Tensor, "batch views 12 H W"], images: Float[Tensor, "batch views 3 H W"]
 ) -> Float[Tensor, "batch views H W 3"]:
-    """Each pixel's own 3x4 matrix (plus the identity), applied to its colour in the photo."""
+    """Each pixel's own 3x4 matrix (plus the identity), applied to its colour."""
     matrix = raw[:, :, :9].unflatten(2, (3, 3))
     mixed = (matrix * images[:, :, None]).sum(dim=3)
     return (images + mixed + raw[:, :, 9:]).movedim(2, -1)

@@ -47,9 +47,13 @@ class ModelConfig:
     # "free": the point head gives points in the first view's frame (published).
     # "rays": it gives depth along each pixel's ray, and the intrinsics token gives the camera.
     points: Literal["free", "rays"] = "free"
-    # Colours: "sh": the head's output is the SH DC coefficient (published). "affine": it is a
-    # 3x4 matrix a pixel, applied to the photo's colour, so that fine detail need not be redrawn.
+    # Colours: "sh": the head's output is the SH DC coefficient (published). "affine": the photos
+    # in the style's palette, and a 3x4 matrix a pixel from the head that is applied to them, so
+    # that fine detail need not be redrawn.
     colours: Literal["sh", "affine"] = "sh"
+    # Range of a content photo that stands in for a style; paintings are always in [0, 1]
+    # (spec section 7: the published network reads the two differently).
+    photo_as_style: Literal["signed", "unit"] = "signed"
 
     @property
     def camera_head(self) -> bool:
@@ -89,6 +93,7 @@ MINI = ModelConfig(
     matching=True,
     points="rays",
     colours="affine",
+    photo_as_style="unit",
 )
 
 CONFIGS = {config.name: config for config in (FULL, MINI)}

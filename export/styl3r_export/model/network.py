@@ -25,6 +25,8 @@ from styl3r_export.model.backbone import Backbone
 from styl3r_export.model.config import CONFIGS, PATCH, ModelConfig
 from styl3r_export.model.dpt import STRUCTURE_CHANNELS, GaussianTrunk, Head, PointTrunk
 from styl3r_export.model.matching import Matches, StarMatching, settle
+from styl3r_export.model.palette import transfer_palette
+from styl3r_export.model.rotations import full_precision
 from styl3r_export.model.stem import Pyramid, PyramidStem
 from styl3r_export.model.stylizer import TokenStylizer
 
@@ -65,6 +67,19 @@ class Structure(NamedTuple):
     rays: RayDecoding | None
 
 
+# Opacity logit, raw scales and quaternion of the Gaussians before any training: opacity 0.95,
+# standard deviation 0.56 px.
+UNTRAINED_STRUCTURE = (3.0, -1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@torch.no_grad()
+def zero_output(head: Head, bias: float | tuple[float, ...]) -> None:
+    """Make a head's output the given constants, whatever comes in."""
+    last = head.dpt.head[4]
+    last.weight.zero_()
+    last.bias.copy_(torch.as_tensor(bias).expand_as(last.bias))
+
+
 def to_network(images: Tensor) -> Tensor:
     """Pictures in [0, 1] to the content encoder's [-1, 1]."""
     return images * 2 - 1
@@ -91,6 +106,10 @@ class Styl3r(nn.Module):
         self.gaussian_appearance_head = Head(
             GaussianTrunk(config, 12 if affine else 3, image="gate" if affine else "none")
         )
+        if affine:  # an untrained head changes nothing
+            zero_output(self.gaussian_appearance_head, 0.0)
+        if rays:  # an untrained head gives opaque Gaussians the size of a pixel
+            zero_output(self.gaussian_param_head, UNTRAINED_STRUCTURE)
 
     # ------------------------------------------------------------------ one scene (public)
 
@@ -251,7 +270,9 @@ class Styl3r(nn.Module):
         raw = self.gaussian_appearance_head(flat, rows, columns, pictures)
         raw = raw.unflatten(0, images.shape[:2])
         if self.config.colours == "affine":
-            return colours_from_affine(raw, images)
+            with full_precision(images):
+                palette = transfer_palette(images, style_images, style_weights)
+            return colours_from_affine(raw, palette)
         return colours_from_sh(raw)
 
 
