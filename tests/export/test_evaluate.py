@@ -18,6 +18,7 @@ from tiny_model import BASELINE
 from styl3r_cli.photos.resize import fit_photo
 from styl3r_export.evaluate.__main__ import main
 from styl3r_export.evaluate.depth import fit_plane, relative_errors
+from styl3r_export.evaluate.essential import match, solve
 from styl3r_export.evaluate.groups import choose_groups
 from styl3r_export.evaluate.poses import area_under_recall, direction_error, rotation_error
 from styl3r_export.evaluate.scenes import crop_camera, load_scene
@@ -133,6 +134,9 @@ def test_mistakes_get_one_line(scenes: Path, tiny_model: Path, tmp_path: Path) -
         ([str(tiny_model), "--scenes", str(tmp_path)], 3),
         ([str(tmp_path / "none"), "--scenes", str(scenes)], 4),
         ([str(tiny_model), "--scenes", str(scenes), "--rows", "beauty"], 2),
+        ([str(tiny_model), "--scenes", str(scenes), "--rows", "style"], 2),
+        ([str(tiny_model), "--scenes", str(scenes), "--size", "100"], 2),
+        ([str(tiny_model), "--scenes", str(scenes), "--only", "atlantis"], 2),
     ):
         result = CliRunner().invoke(main, arguments)
         assert result.exit_code == code, result.output
@@ -213,6 +217,34 @@ def test_area_under_recall_by_hand() -> None:
     assert area_under_recall([30.0], 20) == 0
     # From (0, 0) to (5, 1/2), then flat to 10: 5 * 0.25 + 5 * 0.5.
     assert area_under_recall([5.0, 40.0], 10) == pytest.approx(0.375)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.3])
+def test_the_essential_matrix_finds_the_pose(outliers: float) -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-2, -2, 3], [2, 2, 8], (200, 3))
+    truth = np.eye(4)
+    truth[:3, :3] = Rotation.from_rotvec([0.05, -0.2, 0.1]).as_matrix()
+    truth[:3, 3] = [-0.6, 0.1, 0.2]
+    first_k = np.array([[300, 0, 128], [0, 310, 120], [0, 0, 1.0]])
+    second_k = np.array([[250, 0, 130], [0, 250, 128], [0, 0, 1.0]])
+    a, b = points @ first_k.T, (points @ truth[:3, :3].T + truth[:3, 3]) @ second_k.T
+    a, b = a[:, :2] / a[:, 2:], b[:, :2] / b[:, 2:]
+    wild = rng.random(len(b)) < outliers
+    b[wild] = rng.uniform(0, 256, (int(wild.sum()), 2))
+    found = solve(a, b, first_k, second_k)
+    assert found is not None
+    assert rotation_error(found, truth) < 0.2
+    assert direction_error(found, truth) < 1
+    assert solve(a[:4], b[:4], first_k, second_k) is None
+
+
+def test_sift_finds_the_shift_of_a_picture() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (20, 20, 3), dtype=np.uint8)
+    wide = np.asarray(Image.fromarray(noise).resize((160, 160), Image.Resampling.BICUBIC))
+    a, b = match(wide[:128, :128], wide[5:133, 9:137])
+    assert len(a) > 20
+    np.testing.assert_allclose(np.median(a - b, axis=0), [9, 5], atol=0.1)
 
 
 def test_the_oracle_plane_ignores_outliers_and_relative_errors_count_factors() -> None:

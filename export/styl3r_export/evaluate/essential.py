@@ -29,7 +29,15 @@ def relative_pose(
     Returns:
         None where there are too few matches.
     """
-    a, b = match(first, second)
+    return solve(*match(first, second), first_k, second_k)
+
+
+def solve(a: Array, b: Array, first_k: Array, second_k: Array) -> Array | None:
+    """The second camera relative to the first, from matching pixel positions (M, 2).
+
+    Returns:
+        (4, 4), translation of length 1; None where there are too few matches.
+    """
     if len(a) < FEWEST_MATCHES:
         return None
     rays_a, rays_b = (

@@ -1,0 +1,116 @@
+"""Whether stylized frames agree with each other as a camera moves (paper, section 4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras import poses
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.splatting import Frame, render
+from styl3r_export.evaluate.records import MODEL, Values
+from styl3r_export.evaluate.style import Painting
+from styl3r_export.evaluate.teachers import Teachers
+from styl3r_export.evaluate.warping import brightness_importance, splat
+
+FRAMES = 8  # from the first input's camera to the last's, so that these two are 7 apart
+# Frames compared: neighbours at both ends and in the middle, and the two that are 7 apart.
+PAIRS = {"short": ((0, 1), (3, 4), (6, 7)), "long": ((0, 7),)}
+# A pixel is compared if this much of it is covered, by Gaussians and by moved pixels: black holes
+# agree with each other only too well.
+LEAST_COVER = 0.5
+OWN = "own colours"
+
+Picture = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How frame a moves to frame b.
+
+    Attributes:
+        flow: (H, W, 2) from a to b.
+        importance: (H, W) of a's pixels where several meet.
+        valid: (H, W) which of b's pixels can be compared.
+    """
+
+    flow: NDArray[np.float32]
+    importance: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+
+
+def consistency_values(
+    own: Gaussians,
+    stylized: Gaussians,
+    cameras: Sequence[Camera],
+    painting: Painting,
+    teachers: Teachers,
+    threads: int,
+) -> Values:
+    """RMSE and LPIPS between a frame and an earlier one moved to it by optical flow.
+
+    One camera path through the recovered input cameras, one flow (of the frames in the scene's own
+    colours), the same pixels for everybody. `own colours` is what remains where nothing was
+    stylized: errors of the flow, and of resampling. 2D stylizers paint the same frames one by one.
+
+    Args:
+        own: the Gaussians in the scene's own colours.
+        stylized: the same in the painting's.
+        cameras: the recovered ones, at least two.
+        painting: the style.
+        teachers: measures and 2D stylizers.
+        threads: for the renderer.
+    """
+    needed = sorted({index for pairs in PAIRS.values() for pair in pairs for index in pair})
+    path = camera_path(cameras, FRAMES)
+    frames = {k: render(own, path[k], threads=threads) for k in needed}
+    plain: dict[int, Picture] = {k: frame.colour.clip(0, 1) for k, frame in frames.items()}
+    movies: dict[str, dict[int, Picture]] = {
+        MODEL: {k: render(stylized, path[k], threads=threads).colour.clip(0, 1) for k in needed},
+        OWN: plain,
+    }
+    for name, stylizer in teachers.stylizers.items():
+        movies[name] = {k: stylizer(plain[k], painting.picture) for k in needed}
+    values: Values = {}
+    for reach, pairs in PAIRS.items():
+        for a, b in pairs:
+            motion = find_motion(frames[a], frames[b], teachers)
+            if motion.valid.any():
+                for method, movie in movies.items():
+                    rmse, distance = disagreement(movie[a], movie[b], motion, teachers)
+                    values.setdefault(("consistency", f"{reach} RMSE", method), []).append(rmse)
+                    key = ("consistency", f"{reach} LPIPS", method)
+                    values.setdefault(key, []).append(distance)
+    return values
+
+
+def camera_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
+    """At even steps from the first camera to the last, through all of them in order."""
+    stops = [poses.from_camera(camera) for camera in cameras]
+    path = []
+    for time in np.linspace(0, len(stops) - 1, frames):
+        segment = min(int(time), len(stops) - 2)
+        pose = poses.blend(stops[segment], stops[segment + 1], time - segment)
+        path.append(poses.to_camera(pose, cameras[0]))
+    return path
+
+
+def find_motion(a: Frame, b: Frame, teachers: Teachers) -> Motion:
+    """Optical flow between two frames in their own colours, and where it says something."""
+    flow = teachers.flow(a.colour, b.colour)
+    importance = brightness_importance(a.colour.clip(0, 1), b.colour.clip(0, 1), flow)
+    moved, cover = splat(a.alpha[..., None], flow, importance)
+    valid = (cover >= LEAST_COVER) & (moved[..., 0] >= LEAST_COVER) & (b.alpha >= LEAST_COVER)
+    return Motion(flow, importance, valid)
+
+
+def disagreement(a: Picture, b: Picture, motion: Motion, teachers: Teachers) -> tuple[float, float]:
+    """RMSE over the valid pixels, and LPIPS with all others black."""
+    moved, _ = splat(a, motion.flow, motion.importance)
+    rmse = np.sqrt(np.mean((moved - b)[motion.valid] ** 2))
+    mask = motion.valid[..., None]
+    return float(rmse), teachers.lpips(moved * mask, b * mask)
