@@ -7,6 +7,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from styl3r_cli.errors import ModelError
+
 # Tensors below this size stay float32: biases, norms, the heads' last convolutions, the camera
 # token. They are sensitive, and together less than 2 % of the weights.
 HALF_MIN_ELEMENTS = 16384
@@ -22,10 +24,10 @@ def to_half(values: npt.NDArray[np.float32], name: str) -> npt.NDArray[np.float1
     """The nearest half precision values.
 
     Raises:
-        ValueError: a value is too large for half precision, or not finite.
+        ModelError: a value is too large for half precision, or not finite.
     """
     if not np.abs(values).max(initial=0.0) <= HALF_MAX:
-        raise ValueError(f"{name}: values beyond half precision's {HALF_MAX:g}; use fp32")
+        raise ModelError(f"{name}: values beyond half precision's {HALF_MAX:g}; export as fp32")
     return values.astype(np.float16)
 
 
