@@ -27,66 +27,99 @@ FRONT = 0.1
 TINY = 1e-8
 
 
-class Side(NamedTuple):
-    """Cells of one view of a pair, where they match in the other, and what is known of them."""
+class Sides(NamedTuple):
+    """Cells of both views of every pair: the first views of all pairs, then the others.
 
-    rays: Float[Tensor, "pairs cells 2"]
-    matched: Float[Tensor, "pairs cells 2"]  # ray of the match in the other view
-    weight: Float[Tensor, "pairs cells"]  # confidence of the match
-    prior: Float[Tensor, "pairs cells"]  # inverse depth
-    stiffness: Float[Tensor, "pairs cells"]  # weight of the prior
+    Each side is seen by the other through a motion of its own, the second half's being the
+    inverse of the first half's, so both are projected by one and the same code.
+    """
+
+    rays: Float[Tensor, "2*pairs cells 3"]  # (x/z, y/z, 1)
+    matched: Float[Tensor, "2*pairs cells 2"]  # ray of the match in the other view
+    weight: Float[Tensor, "2*pairs cells"]  # confidence of the match
+    prior: Float[Tensor, "2*pairs cells"]  # inverse depth
+    stiffness: Float[Tensor, "2*pairs cells"]  # weight of the prior
 
 
-class Residuals(NamedTuple):
-    """How well one side's cells fit the adjusted motion, and how much that says of depth."""
+class Fit(NamedTuple):
+    """How well cells fit the adjusted motion, and how much that says of their depth."""
 
-    error: Float[Tensor, "pairs cells"]  # distance to the match, ray units
-    information: Float[Tensor, "pairs cells"]  # of inverse depth, in the match's weight
+    error: Float[Tensor, "2*pairs cells"]  # distance to the match, ray units
+    information: Float[Tensor, "2*pairs cells"]  # of inverse depth, in the match's weight
 
 
 class Normal(NamedTuple):
-    """Normal equations of one side, cell depths still in."""
+    """Normal equations of each side in its own motion, cell depths still in."""
 
-    pose: Float[Tensor, "pairs 6 6"]
-    pose_gradient: Float[Tensor, "pairs 6"]
-    cross: Float[Tensor, "pairs cells 6"]
-    depth: Float[Tensor, "pairs cells"]
-    depth_gradient: Float[Tensor, "pairs cells"]
+    pose: Float[Tensor, "2*pairs 6 6"]
+    pose_gradient: Float[Tensor, "2*pairs 6"]
+    cross: Float[Tensor, "2*pairs cells 6"]
+    depth: Float[Tensor, "2*pairs cells"]
+    depth_gradient: Float[Tensor, "2*pairs cells"]
 
 
 def adjust(
-    guess: Motion, here: Side, there: Side, outliers: Sequence[float]
-) -> tuple[Motion, Tensor, Tensor]:
-    """Cameras and inverse depths that explain the matches of a pair in both directions.
+    guess: Motion, sides: Sides, outliers: Sequence[float]
+) -> tuple[Motion, Float[Tensor, "2*pairs cells"]]:
+    """Motions and inverse depths that explain the matches of each pair in both directions.
 
     Damped Gauss-Newton on the six pose parameters and one inverse depth a cell, the depths
     eliminated by the Schur complement (their block is diagonal), with weights that discount
     outliers. Where matches are few the priors and the guess decide.
 
     Args:
-        guess: where the motion starts, and what it is weakly held to.
-        here: the first view's cells.
-        there: the other view's cells.
+        guess: where each pair's motion starts, and what it is weakly held to.
+        sides: the cells and their matches.
         outliers: for each iteration the error (ray units; 1 is the focal length) at which a
             match loses three quarters of its weight: large first, since from a wrong guess
             every true match looks like an outlier (graduated non-convexity).
 
     Returns:
-        The motion, and the inverse depths of both sides' cells.
+        The motions, and the inverse depths of both sides' cells.
     """
-    motion, rho_here, rho_there = guess, here.prior, there.prior
-    moved = torch.zeros_like(torch.cat((guess.translation, guess.translation), dim=-1))
+    motion, rho = guess, sides.prior
+    moved = torch.cat((guess.translation, guess.translation), dim=-1) * 0
     for outlier in outliers:
-        a = normal_equations(*project(motion, here.rays, rho_here), here, rho_here, outlier)
-        b = normal_equations(
-            *project_back(motion, there.rays, rho_there), there, rho_there, outlier
-        )
-        step = solve(*reduce(a, b, moved))
+        both = both_ways(motion)
+        normal = normal_equations(both, sides, rho, outlier)
+        twist = twists(both)
+        step = solve(*reduce(normal, twist, moved))
         step = torch.cat((limit(step[:, :3], MAX_TURN), limit(step[:, 3:], MAX_STEP)), dim=-1)
-        rho_here = back_substitute(a, step, rho_here)
-        rho_there = back_substitute(b, step, rho_there)
+        own_step = (twist @ torch.cat((step, step))[..., None]).squeeze(-1)
+        change = normal.depth_gradient + (normal.cross * own_step[:, None]).sum(dim=-1)
+        rho = (rho - change / normal.depth).clamp(FARTHEST, NEAREST)
         motion, moved = move(motion, step), moved + step
-    return motion, rho_here, rho_there
+    return motion, rho
+
+
+class BothWays(NamedTuple):
+    """Rotation matrices and translations from each side to the other."""
+
+    rotation: Float[Tensor, "2*pairs 3 3"]
+    translation: Float[Tensor, "2*pairs 3"]
+
+
+def both_ways(motion: Motion) -> BothWays:
+    """The motions, and behind them their inverses."""
+    rotation = rotation_matrix(motion.rotation)
+    back = rotation.transpose(-1, -2)
+    translation = motion.translation
+    inverse = -(back @ translation[..., None]).squeeze(-1)
+    return BothWays(torch.cat((rotation, back)), torch.cat((translation, inverse)))
+
+
+def twists(both: BothWays) -> Float[Tensor, "2*pairs 6 6"]:
+    """How a step (turn, shift) of a pair's motion moves each side's own motion.
+
+    The identity for the first half. For the inverse motion R', t' = R^T, -R^T t a turn w and a
+    shift d of the original come out as -R' w and [t']x R' w - R' d.
+    """
+    pairs = len(both.rotation) // 2
+    rotation, shift = both.rotation[pairs:], both.translation[pairs:]
+    top = torch.cat((-rotation, rotation * 0), dim=-1)
+    bottom = torch.cat((skew(shift) @ rotation, -rotation), dim=-1)
+    inverse = torch.cat((top, bottom), dim=-2)
+    return torch.cat((torch.eye(6, device=shift.device) + inverse * 0, inverse))
 
 
 def move(motion: Motion, step: Float[Tensor, "pairs 6"]) -> Motion:
@@ -96,43 +129,26 @@ def move(motion: Motion, step: Float[Tensor, "pairs 6"]) -> Motion:
     return Motion(F.normalize(turned, dim=-1), motion.translation + step[:, 3:])
 
 
-def residuals(motion: Motion, side: Side, rho: Tensor, *, back: bool) -> Residuals:
-    """Errors and depth information of one side's cells (`back`: the other view's)."""
-    y, _, by_depth = (project_back if back else project)(motion, side.rays, rho)
-    z = y[..., 2:].clamp_min(FRONT)
-    seen = y[..., :2] / z
-    j_depth = (by_depth[..., :2] - seen * by_depth[..., 2:]) / z
-    error = ((seen - side.matched).square().sum(dim=-1) + TINY).sqrt()
-    return Residuals(error, side.weight * j_depth.square().sum(dim=-1))
+def project(
+    both: BothWays, sides: Sides, rho: Tensor
+) -> tuple[Float[Tensor, "2*pairs cells 3"], Float[Tensor, "2*pairs cells 3"]]:
+    """Cells in the other view, before and after the shift, as homogeneous points.
 
-
-def homogeneous(rays: Float[Tensor, "pairs cells 2"]) -> Float[Tensor, "pairs cells 3"]:
-    """(x, y) to (x, y, 1)."""
-    return F.pad(rays, (0, 1), value=1.0)
-
-
-def project(motion: Motion, rays: Tensor, rho: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The first view's cells in the other: point / depth, and its derivatives.
-
-    With inverse depth rho the projected point is y = R r + rho t, linear in rho and defined for
-    points at infinity.
+    With inverse depth rho the point is R r + rho t, linear in rho and defined at infinity.
     """
-    rotation, translation = rotation_matrix(motion.rotation), motion.translation
-    turned = homogeneous(rays) @ rotation.transpose(-1, -2)
-    y = turned + rho[..., None] * translation[:, None]
-    by_move = rho[..., None, None] * torch.eye(3, device=rho.device)
-    return y, torch.cat((-skew(turned), by_move), dim=-1), translation[:, None].expand_as(y)
+    turned = sides.rays @ both.rotation.transpose(-1, -2)
+    return turned, turned + rho[..., None] * both.translation[:, None]
 
 
-def project_back(motion: Motion, rays: Tensor, rho: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The other view's cells in the first: y = R^T (r - rho t), and its derivatives."""
-    rotation, translation = rotation_matrix(motion.rotation), motion.translation
-    v = homogeneous(rays) - rho[..., None] * translation[:, None]
-    y = v @ rotation
-    back = rotation.transpose(-1, -2)[:, None]
-    by_move = -rho[..., None, None] * back
-    by_depth = -(translation[:, None] @ rotation).expand_as(y)
-    return y, torch.cat((back @ skew(v), by_move), dim=-1), by_depth
+def fit(motion: Motion, sides: Sides, rho: Tensor) -> Fit:
+    """Errors and depth information of all cells."""
+    both = both_ways(motion)
+    _, y = project(both, sides, rho)
+    z = y[..., 2:].clamp_min(FRONT)
+    seen, shift = y[..., :2] / z, both.translation[:, None]
+    by_depth = (shift[..., :2] - seen * shift[..., 2:]) / z
+    error = ((seen - sides.matched).square().sum(dim=-1) + TINY).sqrt()
+    return Fit(error, sides.weight * by_depth.square().sum(dim=-1))
 
 
 def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -142,54 +158,49 @@ def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
 
 
-def normal_equations(
-    y: Float[Tensor, "pairs cells 3"],
-    by_pose: Float[Tensor, "pairs cells 3 6"],
-    by_depth: Float[Tensor, "pairs cells 3"],
-    side: Side,
-    rho: Float[Tensor, "pairs cells"],
-    outlier: float,
-) -> Normal:
+def normal_equations(both: BothWays, sides: Sides, rho: Tensor, outlier: float) -> Normal:
     """Weighted squares of reprojection errors and of departures from the depth prior."""
+    turned, y = project(both, sides, rho)
     z = y[..., 2:].clamp_min(FRONT)
-    seen = y[..., :2] / z
-    residual = seen - side.matched
-    j_pose = (by_pose[..., :2, :] - seen[..., None] * by_pose[..., 2:, :]) / z[..., None]
-    j_depth = (by_depth[..., :2] - seen * by_depth[..., 2:]) / z
+    seen, shift = y[..., :2] / z, both.translation[:, None]
+    residual = seen - sides.matched
+    # d(y)/d(turn) = -[R r]x, d(y)/d(shift) = rho I; then through the division by depth.
+    to_picture = torch.cat(
+        (torch.eye(2, device=z.device) + seen[..., None] * 0, -seen[..., None]), -1
+    )
+    to_picture = to_picture / z[..., None]
+    by_pose = torch.cat((-to_picture @ skew(turned), to_picture * rho[..., None, None]), dim=-1)
+    by_depth = (shift[..., :2] - seen * shift[..., 2:]) / z
     squared = residual.square().sum(dim=-1) / outlier**2
     # Geman-McClure: the weight of a gross outlier falls with the fourth power of its error.
     robust = 1 / (1 + squared).square()
-    weight = side.weight * robust * (y[..., 2] > FRONT).to(y.dtype) / outlier**2
-    weighted = j_pose * weight[..., None, None]
-    depth_weighted = j_depth * weight[..., None]
+    weight = sides.weight * robust * (y[..., 2] > FRONT).to(y.dtype) / outlier**2
+    weighted = (by_pose * weight[..., None, None]).flatten(1, 2).transpose(-1, -2)
+    depth_weighted = by_depth * weight[..., None]
     return Normal(
-        pose=torch.einsum("pcki,pckj->pij", weighted, j_pose),
-        pose_gradient=torch.einsum("pcki,pck->pi", weighted, residual),
-        cross=torch.einsum("pcki,pck->pci", weighted, j_depth),
-        depth=(depth_weighted * j_depth).sum(dim=-1) + side.stiffness,
+        pose=weighted @ by_pose.flatten(1, 2),
+        pose_gradient=(weighted @ residual.flatten(1, 2)[..., None]).squeeze(-1),
+        cross=(by_pose * depth_weighted[..., None]).sum(dim=2),
+        depth=(depth_weighted * by_depth).sum(dim=-1) + sides.stiffness,
         depth_gradient=(depth_weighted * residual).sum(dim=-1)
-        + side.stiffness * (rho - side.prior),
+        + sides.stiffness * (rho - sides.prior),
     )
 
 
-def reduce(a: Normal, b: Normal, moved: Float[Tensor, "pairs 6"]) -> tuple[Tensor, Tensor]:
-    """The six-by-six system that is left when the depths of both sides are eliminated."""
-    matrix, gradient = a.pose + b.pose, a.pose_gradient + b.pose_gradient
-    for side in (a, b):
-        share = side.cross / side.depth[..., None]
-        matrix = matrix - share.transpose(-1, -2) @ side.cross
-        gradient = gradient - (share * side.depth_gradient[..., None]).sum(dim=1)
+def reduce(normal: Normal, twist: Tensor, moved: Float[Tensor, "pairs 6"]) -> tuple[Tensor, Tensor]:
+    """Each pair's six-by-six system, the depths of both its sides eliminated."""
+    share = normal.cross / normal.depth[..., None]
+    matrix = normal.pose - share.transpose(-1, -2) @ normal.cross
+    gradient = normal.pose_gradient - (share * normal.depth_gradient[..., None]).sum(dim=1)
+    matrix = twist.transpose(-1, -2) @ matrix @ twist
+    gradient = (twist.transpose(-1, -2) @ gradient[..., None]).squeeze(-1)
+    pairs = len(moved)
+    matrix, gradient = matrix[:pairs] + matrix[pairs:], gradient[:pairs] + gradient[pairs:]
     held = GUESS_ERROR**-2
-    damping = DAMPING * matrix.diagonal(dim1=-2, dim2=-1).clamp_min(0) + held
-    return matrix + torch.diag_embed(damping), gradient + held * moved
-
-
-def back_substitute(
-    side: Normal, step: Float[Tensor, "pairs 6"], rho: Float[Tensor, "pairs cells"]
-) -> Float[Tensor, "pairs cells"]:
-    """Inverse depths after the pose has moved by `step`."""
-    change = (side.depth_gradient + (side.cross * step[:, None]).sum(dim=-1)) / side.depth
-    return (rho - change).clamp(FARTHEST, NEAREST)
+    eye = torch.eye(6, device=matrix.device)
+    # What rounding leaves below zero on the diagonal must not undo the damping.
+    damping = DAMPING * (matrix * eye).clamp_min(0) + held * eye
+    return matrix + damping, gradient + held * moved
 
 
 def solve(
@@ -197,11 +208,10 @@ def solve(
 ) -> Float[Tensor, "pairs n"]:
     """-matrix^-1 gradient by Gauss-Jordan elimination (symmetric, positive, damped: no pivots)."""
     m = torch.cat((matrix, -gradient[..., None]), dim=-1)
-    for k in range(matrix.shape[-1]):
+    for k, keep in enumerate(1 - torch.eye(matrix.shape[-1], device=matrix.device)):
         row = m[:, k : k + 1] / m[:, k : k + 1, k : k + 1]
-        column = m[:, :, k : k + 1]
-        m = m - column * row
-        m = torch.cat((m[:, :k], row, m[:, k + 1 :]), dim=1)
+        # The pivot's own row keeps nothing of itself but the normalised row.
+        m = m * keep[:, None] + (1 - keep[:, None] - keep[:, None] * m[:, :, k : k + 1]) * row
     return m[..., -1]
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from styl3r_export.model.bundle import Residuals, Side, adjust, residuals
+from styl3r_export.model.bundle import Fit, Sides, adjust, fit
 from styl3r_export.model.config import ModelConfig
 from styl3r_export.model.rotations import Motion, full_precision
 
@@ -25,8 +25,8 @@ TINY = 1e-6
 FLAT_STIFFNESS = 10.0
 # Errors at which matches are discounted, by iteration: from a standing camera, then from the
 # decoder's cameras (ray units; a cell of a 256 px picture is about 0.03 wide).
-FIRST_OUTLIERS = (0.5, 0.33, 0.21, 0.14, 0.09, 0.06)
-LAST_OUTLIERS = (0.12, 0.08, 0.05, 0.03)
+FIRST_OUTLIERS = (0.5, 0.28, 0.16, 0.09, 0.06)
+LAST_OUTLIERS = (0.12, 0.06, 0.03)
 # Spread of a match (ray units) that halves its weight.
 SHARP = 0.05
 
@@ -58,8 +58,7 @@ def cell_rays(
 class Pairs(NamedTuple):
     """Matches of every view with the first, (batch * others) pairs, and a motion they suggest."""
 
-    here: Side  # the first view's cells, repeated for each other view
-    there: Side  # the other view's cells
+    sides: Sides
     motion: Motion
 
 
@@ -89,15 +88,17 @@ class StarMatching(nn.Module):
         matches = self.correlate(maps)
         rays = cell_rays(intrinsics, rows, columns)
         joint = (matches.forward + matches.backward).exp()
-        here, spread_here = expect(joint, rays[:, :1], rays[:, 1:])
-        there, spread_there = expect(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1])
-        still = Motion(*standing(here.rays))
-        motion, rho_here, rho_there = adjust(still, here, there, FIRST_OUTLIERS)
-        fit_here = residuals(motion, here, rho_here, back=False)
-        fit_there = residuals(motion, there, rho_there, back=True)
-        first = describe(here, spread_here, rho_here, fit_here)
-        rest = describe(there, spread_there, rho_there, fit_there)
-        return matches, Pairs(here, there, motion), first, rest
+        here = expect(joint, rays[:, :1], rays[:, 1:])
+        there = expect(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1])
+        own, matched, weight, variance = (
+            torch.cat((a.flatten(0, 1), b.flatten(0, 1))) for a, b in zip(here, there, strict=True)
+        )
+        one = torch.ones_like(weight)
+        sides = Sides(F.pad(own, (0, 1), value=1.0), matched, weight, one, one * FLAT_STIFFNESS)
+        motion, rho = adjust(standing(own), sides, FIRST_OUTLIERS)
+        numbers = describe(sides, variance, rho, fit(motion, sides, rho))
+        first, rest = numbers.chunk(2)
+        return matches, Pairs(sides, motion), first, rest
 
     def forward(
         self,
@@ -117,19 +118,26 @@ class StarMatching(nn.Module):
         return torch.cat((token0, tokens), dim=1), matches, pairs
 
 
-def standing(
-    rays: Float[Tensor, "pairs cells 2"],
-) -> tuple[Float[Tensor, "pairs 4"], Float[Tensor, "pairs 3"]]:
-    """The motion of a camera that stays where it is."""
-    zero = torch.zeros_like(rays[:, 0, :1])
-    return torch.cat((zero + 1, zero, zero, zero), -1), torch.cat((zero, zero, zero), -1)
+def standing(cells: Float[Tensor, "2*pairs cells 2"]) -> Motion:
+    """The motion of cameras that stay where they are, one a pair."""
+    zero = cells[: len(cells) // 2, 0, :1] * 0
+    return Motion(torch.cat((zero + 1, zero, zero, zero), -1), torch.cat((zero, zero, zero), -1))
+
+
+class Expected(NamedTuple):
+    """Cells of one view, where they match in another, how surely, and how widely."""
+
+    own: Float[Tensor, "batch others here 2"]
+    matched: Float[Tensor, "batch others here 2"]
+    weight: Float[Tensor, "batch others here"]
+    variance: Float[Tensor, "batch others here"]
 
 
 def expect(
     joint: Float[Tensor, "batch others here there"],
     here: Float[Tensor, "batch _ here 2"],
     there: Float[Tensor, "batch _ there 2"],
-) -> tuple[Side, Float[Tensor, "pairs here"]]:
+) -> Expected:
     """Each cell's expected match, and the variance of where it may be."""
     confidence = joint.sum(dim=-1)
     weight = joint / (confidence[..., None] + TINY)
@@ -137,22 +145,20 @@ def expect(
     second = (weight @ there.square().sum(dim=-1, keepdim=True)).squeeze(-1)
     variance = (second - expected.square().sum(dim=-1)).clamp_min(TINY)
     sharp = confidence / (1 + variance / SHARP**2)
-    one = torch.ones_like(confidence)
-    side = (here.expand_as(expected), expected, sharp, one, one * FLAT_STIFFNESS)
-    return Side(*(t.flatten(0, 1) for t in side)), variance.flatten(0, 1)
+    return Expected(here.expand_as(expected), expected, sharp, variance)
 
 
 def describe(
-    side: Side, variance: Tensor, rho: Tensor, fit: Residuals
-) -> Float[Tensor, "pairs cells features"]:
+    sides: Sides, variance: Tensor, rho: Tensor, fitted: Fit
+) -> Float[Tensor, "2*pairs cells features"]:
     """Numbers a cell: own ray, match, shift, spread, weight, triangulated depth and its worth."""
     # Where nothing matches the expectation is noise: fade it out rather than learn to ignore it.
-    weight = side.weight[..., None]
-    numbers = (variance.log(), side.weight, (side.weight + TINY).log(), rho.log())
-    worth = ((fit.information + TINY).log(), fit.error.log())
+    own, weight = sides.rays[..., :2], sides.weight[..., None]
+    numbers = (variance.log(), sides.weight, (sides.weight + TINY).log(), rho.log())
+    worth = ((fitted.information + TINY).log(), fitted.error.log())
     scalars = torch.stack((*numbers, *worth), dim=-1)
-    shift = (side.matched - side.rays) * weight
-    return torch.cat((side.rays, side.matched * weight, shift, scalars), dim=-1)
+    shift = (sides.matched - own) * weight
+    return torch.cat((own, sides.matched * weight, shift, scalars), dim=-1)
 
 
 def settle(
@@ -160,16 +166,15 @@ def settle(
 ) -> Motion:
     """The motion once more, now with decoded depths and their expected relative errors."""
     others = depth.shape[1] - 1
-    rho = 1 / depth
     stiffness = (depth * (-log_error).exp()).square()
 
-    def side(cells: Side, which: slice) -> Side:
-        prior, stiff = (t[:, which].expand(-1, others, -1).flatten(0, 1) for t in (rho, stiffness))
-        return cells._replace(prior=prior, stiffness=stiff)
+    def sides_of(t: Tensor) -> Tensor:
+        first = t[:, :1].expand(-1, others, -1)
+        return torch.cat((first.flatten(0, 1), t[:, 1:].flatten(0, 1)))
 
-    here, there = side(pairs.here, slice(0, 1)), side(pairs.there, slice(1, None))
+    sides = pairs.sides._replace(prior=sides_of(1 / depth), stiffness=sides_of(stiffness))
     with full_precision(depth):
-        return adjust(guess, here, there, LAST_OUTLIERS)[0]
+        return adjust(guess, sides, LAST_OUTLIERS)[0]
 
 
 def to_tokens(
