@@ -31,6 +31,10 @@ FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.option("--rows", help=f"What to measure: {','.join(ROWS)}. Default: all that can be.")
 @click.option("--views", default="2,4", show_default=True, help="Photos given at once.")
 @click.option("--per-scene", default=4, show_default=True, help="Groups of photos a scene.")
+@click.option(
+    "--styled-per-scene", default=1, show_default=True,
+    help="How many of them are stylized, which takes longest.",
+)  # fmt: skip
 @click.option("--size", default=256, show_default=True, help="Side of the crops, pixels.")
 @click.option(
     "--intrinsics", type=click.Choice(["true", "assumed"]), default="true", show_default=True,

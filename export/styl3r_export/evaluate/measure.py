@@ -18,7 +18,7 @@ from styl3r_cli.photos.resize import PATCH
 from styl3r_cli.pipeline import Stylizer
 from styl3r_export.evaluate.consistency import consistency_values
 from styl3r_export.evaluate.depth import depth_values
-from styl3r_export.evaluate.groups import Group, choose_groups
+from styl3r_export.evaluate.groups import Group, choose_groups, pick
 from styl3r_export.evaluate.novel_views import novel_view_values
 from styl3r_export.evaluate.poses import camera_values
 from styl3r_export.evaluate.predict import (
@@ -57,6 +57,7 @@ class Settings:
         rows: of ROWS; None for all that the folders allow.
         views: how many photos to give.
         per_scene: groups of photos for each scene and number of views.
+        styled_per_scene: how many of these are stylized as well, each in another painting.
         size: side of the crops.
         intrinsics: what the network is given.
         training_scenes: reported apart.
@@ -71,6 +72,7 @@ class Settings:
     rows: list[str] | None
     views: list[int]
     per_scene: int
+    styled_per_scene: int
     size: int
     intrinsics: Intrinsics
     training_scenes: tuple[str, ...]
@@ -105,8 +107,8 @@ class Evaluator:
         if settings.styles is not None and set(NEED_STYLES) & set(self.rows):
             self.styles = held_out_styles(settings.styles)
 
-    def values(self, group: Group, number: int) -> Values:
-        """All rows of a scene's group of that number."""
+    def values(self, group: Group, painting: Painting | None) -> Values:
+        """All rows of a group, the stylized ones if there is a painting."""
         prediction = predict(self.stylizer, group, self.settings.intrinsics)
         values: Values = {}
         if "depth" in self.rows:
@@ -116,23 +118,31 @@ class Evaluator:
             focal = assumed_focal(group.views[0])
             values |= camera_values(group, prediction.recovered, prediction.given, focal)
         draws = "views" in self.rows and group.target is not None
-        if draws or "consistency" in self.rows:
+        moves = "consistency" in self.rows and painting is not None
+        if draws or moves:
             own, _ = self.stylizer.gaussians(prediction.scene, strength=0.0)
         if draws:
             values |= self._novel_view(group, prediction, own)
-        if self.styles:
-            painting = self._painting(group, number)
+        if painting is not None:
             stylized, _ = self.stylizer.gaussians(prediction.scene, [painting.image])
-        if "style" in self.rows:
-            values |= self._style(group, prediction, stylized, painting)
-        if "consistency" in self.rows:
-            values |= self._consistency(prediction, own, stylized, painting)
+            if "style" in self.rows:
+                values |= self._style(group, prediction, stylized, painting)
+            if moves:
+                values |= self._consistency(prediction, own, stylized, painting)
         return values
 
-    def _painting(self, group: Group, number: int) -> Painting:
+    def paintings(self, scene: str, groups: int) -> list[Painting | None]:
+        """For each of a scene's groups the painting to stylize it with, if it is to be."""
+        if not self.styles:
+            return [None] * groups
         assert self.teachers is not None
-        path = choose_style(self.styles, group.scene.name, number)
-        return load_painting(path, STYLE_SIDE, self.teachers)
+        styled = set(pick(range(groups), self.settings.styled_per_scene))
+        return [
+            load_painting(choose_style(self.styles, scene, k), STYLE_SIDE, self.teachers)
+            if k in styled
+            else None
+            for k in range(groups)
+        ]
 
     def _novel_view(self, group: Group, prediction: Prediction, own: Gaussians) -> Values:
         lpips = None if self.teachers is None else self.teachers.lpips
@@ -159,8 +169,9 @@ class Evaluator:
         kind = "training" if trained else "validation"
         for count in self.settings.views:
             groups = choose_groups(scene, count, self.settings.per_scene)
-            for number, group in enumerate(groups):
-                yield Record.of(kind, group, self.values(group, number))
+            paintings = self.paintings(scene.name, len(groups))
+            for group, painting in zip(groups, paintings, strict=True):
+                yield Record.of(kind, group, self.values(group, painting))
 
 
 def choose_rows(settings: Settings) -> list[str]:

@@ -96,6 +96,7 @@ def style_values(
     values: Values = {}
     for index in (0, len(group.inputs) - 1):
         photo = group.views[index].pixels / np.float32(255)
+        original = features(teachers.vgg, photo)
         frames: dict[str, Picture] = {
             MODEL: render(gaussians, cameras[index], threads=threads).colour.clip(0, 1),
             NONE: photo,
@@ -103,24 +104,31 @@ def style_values(
         for name, stylizer in teachers.stylizers.items():
             frames[name] = stylizer(photo, painting.picture)
         for method, frame in frames.items():
-            for (what, measure), value in compare(frame, photo, painting, teachers).items():
-                if (what, method) != ("content", NONE):  # nothing to lose
-                    values.setdefault((what, measure, method), []).append(value)
+            seen = original if method == NONE else features(teachers.vgg, frame)
+            measures = compare_style(frame, seen, painting)
+            if method != NONE:  # which has nothing to lose
+                measures |= compare_content(frame, seen, photo, original)
+            for (what, measure), value in measures.items():
+                values.setdefault((what, measure, method), []).append(value)
     return values
 
 
-def compare(
-    frame: Picture, photo: Picture, painting: Painting, teachers: Teachers
+def compare_style(
+    frame: Picture, seen: list[torch.Tensor], painting: Painting
 ) -> dict[tuple[str, str], float]:
-    """All measures of one stylized picture."""
-    seen = features(teachers.vgg, frame)
+    """How far a frame, of these features, is from a painting's manner and colours."""
+    colours = histogram_distance(histogram(frame), painting.histogram)
     return {
         ("style", "mean/std distance"): float(style_distance(seen, painting.features)),
-        ("style", "RGB-uv histogram distance"): histogram_distance(
-            histogram(frame), painting.histogram
-        ),
-        ("content", "perceptual distance"): float(
-            content_distance(seen, features(teachers.vgg, photo))
-        ),
+        ("style", "RGB-uv histogram distance"): colours,
+    }
+
+
+def compare_content(
+    frame: Picture, seen: list[torch.Tensor], photo: Picture, original: list[torch.Tensor]
+) -> dict[tuple[str, str], float]:
+    """How far a frame is from showing what the photo shows; both with their features."""
+    return {
+        ("content", "perceptual distance"): float(content_distance(seen, original)),
         ("content", "SSIM of edges"): edge_ssim(frame, photo),
     }

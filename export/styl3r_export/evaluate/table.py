@@ -10,6 +10,9 @@ from styl3r_export.evaluate.records import MODEL, Record, Summary, pooled, summa
 AUC_LIMITS = (5, 10, 20)  # degrees
 AUC_OF = ("cameras", "larger of both (deg)")
 
+# In which order the rows come, whatever the first group had.
+ORDER = ("depth", "cameras", "novel view", "style", "content", "consistency")
+
 # Which way is better, for whoever reads the table.
 HIGHER = ("AUC", "delta", "PSNR", "SSIM")
 
@@ -49,7 +52,8 @@ def _section(records: Sequence[Record], kind: str, views: int) -> str:
     for summary in summarise(records, kind, views):
         by_measure.setdefault((summary.what, summary.measure), []).append(summary)
     rows = []
-    for (what, measure), summaries in by_measure.items():
+    for what, measure in sorted(by_measure, key=lambda key: ORDER.index(key[0])):
+        summaries = by_measure[what, measure]
         cells = [_cell(summary) for summary in summaries]
         rows.append([what, _arrow(measure), str(summaries[0].count), *cells])
         if (what, measure) == AUC_OF:
