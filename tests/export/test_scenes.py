@@ -70,7 +70,7 @@ def test_a_camera_inside_a_box_sees_all_of_it() -> None:
 
 
 def warp_error(scene: SceneViews, source: int, target: int) -> tuple[float, float]:
-    """Mean colour difference of pixels carried over by depth, and the share carried."""
+    """Median colour difference of pixels carried over by depth, and the share carried."""
     height, width = scene.depth.shape[1:]
     k = scene.intrinsics[0] * np.array([[width], [height], [1]])
     grid = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), -1)
@@ -84,12 +84,12 @@ def warp_error(scene: SceneViews, source: int, target: int) -> tuple[float, floa
         map_coordinates(c, [uv[..., 1], uv[..., 0]], order=1, cval=0) for c in scene.images[target]
     ]
     difference = np.abs(np.stack(colours) - scene.images[source]).max(0)
-    return float(difference[seen].mean()), float(seen.mean())
+    return float(np.median(difference[seen])), float(seen.mean())
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_views_agree_through_depth_and_cameras(bank: TextureBank, kind: str) -> None:
-    scene = generate(5, 3, (128, 128), bank, kind=kind, photometric=False)
+    scene = generate(6, 3, (128, 128), bank, kind=kind, photometric=False)
     turned = scene.extrinsics.copy()
     turned[1:, :3] = spin(np.radians(3), axis=1) @ turned[1:, :3]
     wrong = replace(scene, extrinsics=turned)  # a camera error of 3 degrees must show
@@ -97,7 +97,7 @@ def test_views_agree_through_depth_and_cameras(bank: TextureBank, kind: str) -> 
         error, seen = warp_error(scene, 0, target)
         assert seen > 0.25
         assert error < 0.05
-        assert warp_error(wrong, 0, target)[0] > 1.3 * error
+        assert warp_error(wrong, 0, target)[0] > 2 * error
 
 
 def test_contract_and_determinism(bank: TextureBank) -> None:

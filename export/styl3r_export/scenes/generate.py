@@ -167,10 +167,11 @@ def _photographed(
     maps = light_maps(scene, stage.low, stage.high)
     rendered = [render(scene, maps, extrinsics, lens, size) for extrinsics in path]
     factor = exposure(rendered[0][0], rng)
-    shots = draw_shots(rng, len(path)) if photometric else [Shot()] * len(path)
+    focus = float(np.median(rendered[0][1]))
+    shots = draw_shots(rng, len(path), focus) if photometric else [Shot()] * len(path)
     images = [
-        develop(factor * linear, shot, rng)
-        for (linear, _, _), shot in zip(rendered, shots, strict=True)
+        develop(factor * linear, shot, rng, depth)
+        for (linear, depth, _), shot in zip(rendered, shots, strict=True)
     ]
     backdrop = np.array([m.sky for m in scene.materials] + [True])  # index -1: nothing hit
     intrinsics = np.array(

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from styl3r_cli.splatting.compiler import kernel
 
 Array = NDArray[np.float32]
 #: Three numbers, or any array of them.
@@ -72,7 +73,7 @@ def random_turn(rng: np.random.Generator) -> NDArray[np.float64]:
     return q
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grid_normals(points: NDArray[np.float64], closed: bool) -> NDArray[np.float64]:
     """(m, n, 3) unit normals of a grid of points from its central differences."""
     rows, columns = points.shape[:2]
@@ -94,7 +95,7 @@ def _grid_normals(points: NDArray[np.float64], closed: bool) -> NDArray[np.float
     return normals
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grid_triangles(grid: NDArray[np.float32]) -> NDArray[np.float32]:
     """(T, 3, C) corners of the two triangles of every cell, collapsed ones left out."""
     rows, columns, channels = grid.shape
@@ -131,6 +132,34 @@ def surface(
     if uv is None:
         uv = _measured(points)
     corners = _grid_triangles(np.concatenate([points, normals, uv], -1).astype(np.float32))
+    return Mesh(corners[..., :3], corners[..., 3:6], corners[..., 6:])
+
+
+@kernel
+def _sheet_triangles(points: NDArray[np.float64], uv: NDArray[np.float64]) -> NDArray[np.float32]:
+    """(T, 3, 8) corners of k separate grids (k, m, n, 3)."""
+    sheets, rows, columns = points.shape[:3]
+    cells = 2 * (rows - 1) * (columns - 1)
+    corners = np.empty((sheets * cells, 3, 8), np.float32)
+    grid = np.empty((rows, columns, 8), np.float32)
+    count = 0
+    for k in range(sheets):
+        grid[..., :3], grid[..., 6:] = points[k], uv[k]
+        grid[..., 3:6] = _grid_normals(points[k], False)
+        made = _grid_triangles(grid)
+        corners[count : count + len(made)] = made
+        count += len(made)
+    return corners[:count]
+
+
+def sheets(points: NDArray[np.float64], uv: NDArray[np.float64]) -> Mesh:
+    """Many open surfaces of one resolution at once: leaves, petals, blades.
+
+    Args:
+        points: (k, m, n, 3) grids.
+        uv: (k, m, n, 2) texture coordinates.
+    """
+    corners = _sheet_triangles(np.ascontiguousarray(points), np.ascontiguousarray(uv))
     return Mesh(corners[..., :3], corners[..., 3:6], corners[..., 6:])
 
 

@@ -1,9 +1,9 @@
 """One view of a scene: linear colour, exact depth and parts, with 2x2 samples at edges."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from styl3r_cli.splatting.compiler import kernel
 from styl3r_export.scenes.builder import Scene
 from styl3r_export.scenes.lighting import LightMaps
 from styl3r_export.scenes.noise import noise_volume
@@ -20,7 +20,7 @@ GRAZING = 0.08
 Lens = tuple[float, float, float, float]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _sample(
     t: int, x: float, y: float, pixel: float, camera: NDArray[np.float32],
     geometry: tuple, material: NDArray[np.float32], eye: NDArray[np.float64], looks: tuple,
@@ -68,7 +68,7 @@ def _sample(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _resolve(
     hits: NDArray[np.int32], inverse: NDArray[np.float32], lens: Lens,
     camera: NDArray[np.float32], geometry: tuple, materials: NDArray[np.float32],

@@ -1,9 +1,9 @@
 """Light that a surface point sends to the eye: soft shadows, highlights, contact darkening."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from styl3r_cli.splatting.compiler import kernel
 from styl3r_export.scenes.lighting import GRID, GRID_BLUR, SHADOW_SIDE
 from styl3r_export.scenes.surface_colour import Vector, albedo, roughened
 
@@ -24,7 +24,7 @@ SHADOW_BIAS = 1.002
 LAMP_NEAREST2 = 0.05
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _openness(
     occupancy: NDArray[np.float32], low: NDArray[np.float32], cell: float, p: Vector, n: Vector
 ) -> float:
@@ -46,7 +46,7 @@ def _openness(
     return 1.0 / (1.0 + CROWD * max(crowd - LONE, 0.0))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _lit(
     e: NDArray[np.float32], focal: float, softness: float, depths: NDArray[np.float32],
     p: Vector, n: Vector, lamp: bool,
@@ -78,7 +78,7 @@ def _lit(
     return share * bright / TAPS
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def shade(
     material: NDArray[np.float32], p: Vector, n: Vector, uv: tuple[float, float], view: Vector,
     pixel: float, textures: NDArray[np.uint8], volume: NDArray[np.float32], lights: tuple,

@@ -1,9 +1,9 @@
 """Reflectance of a surface point: trilinear textures, planar or triplanar, and noise."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from styl3r_cli.splatting.compiler import kernel
 from styl3r_export.scenes.builder import Material
 from styl3r_export.scenes.noise import VOLUME_CELLS
 from styl3r_export.scenes.patterns import SIDE
@@ -37,7 +37,7 @@ def material_table(materials: list[Material]) -> NDArray[np.float32]:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _wrapped(i: int, side: int, mirrored: bool) -> int:
     """Texel index of a coordinate outside the picture; side is a power of two."""
     if mirrored:
@@ -46,7 +46,7 @@ def _wrapped(i: int, side: int, mirrored: bool) -> int:
     return i & (side - 1)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _bilinear(
     pyramid: NDArray[np.uint8], start: int, side: int, u: float, v: float, mirrored: bool
 ) -> Vector:
@@ -70,7 +70,7 @@ def _bilinear(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _texture(
     pyramid: NDArray[np.uint8], u: float, v: float, footprint: float, mirrored: bool
 ) -> Vector:
@@ -89,7 +89,7 @@ def _texture(
     return r, g, b
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def volume_noise(volume: NDArray[np.float32], p: Vector, wavelength: float) -> tuple:
     """Tiled noise and its gradient at a point: (value, d/dx, d/dy, d/dz)."""
     s = VOLUME_CELLS / (VOLUME_WAVES * wavelength)
@@ -109,7 +109,7 @@ def volume_noise(volume: NDArray[np.float32], p: Vector, wavelength: float) -> t
     return a, b, c, d
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def albedo(
     material: NDArray[np.float32], textures: NDArray[np.uint8], volume: NDArray[np.float32],
     p: Vector, n: Vector, uv: tuple[float, float], pixel: float,
@@ -139,7 +139,7 @@ def albedo(
     return r * material[0], g * material[1], b * material[2]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def roughened(
     material: NDArray[np.float32], volume: NDArray[np.float32], p: Vector, n: Vector, pixel: float
 ) -> Vector:

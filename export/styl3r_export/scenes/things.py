@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_export.scenes.builder import SceneBuilder
-from styl3r_export.scenes.meshes import QUAD, Mesh, box, merged, random_turn, spin, surface
+from styl3r_export.scenes.meshes import QUAD, Mesh, box, merged, random_turn, sheets, spin
 from styl3r_export.scenes.solids import blob, cylinder, lathe, torus, tube
 
 Vector = NDArray[np.float64]
@@ -83,22 +83,30 @@ def book(rng: np.random.Generator, size: float) -> Mesh:
 
 def leafage(rng: np.random.Generator, height: float, count: int = 24) -> Mesh:
     """Arching leaves from one foot: a fern, grass tuft or pot plant."""
-    parts = []
     wide, droop = height * rng.uniform(0.02, 0.12), rng.uniform(0.2, 1.6)
     stem = rng.uniform(0.0, 0.5) if rng.random() < 0.5 else 0.0
-    t = np.linspace(0, 1, 6)
-    for k in range(count):
-        turn, rise = 2.4 * k + rng.normal(0, 0.2), rng.uniform(0.2, 1.3)
-        length = height * rng.uniform(0.4, 1.0)
-        bend = rise - droop * t
-        out = np.cumsum(np.cos(bend)) * length / 6
-        up = np.cumsum(np.sin(bend)) * length / 6 + stem * height * rng.uniform(0, 1)
-        half = wide * np.sin(np.pi * np.clip(t * 0.92 + 0.06, 0, 1)) * rng.uniform(0.7, 1.3)
-        middle = np.stack([out, 0 * t, up], 1)
-        side = np.stack([0 * t, half, 0.3 * half], 1)
-        rib = middle - half[:, None] * np.array([0, 0, 0.3])
-        sheet = np.stack([middle - side, rib, middle + side], 1)
-        parts.append(surface(sheet).placed((0, 0, 0), spin(turn)))
+
+    def each(low: float, high: float) -> Vector:
+        return rng.uniform(low, high, (count, 1))
+
+    t = np.linspace(0, 1, 6)[None]
+    bend = each(0.2, 1.3) - droop * t
+    length = height * each(0.4, 1.0)
+    out = np.cumsum(np.cos(bend), 1) * length / 6
+    up = np.cumsum(np.sin(bend), 1) * length / 6 + stem * height * each(0, 1)
+    half = wide * np.sin(np.pi * np.clip(t * 0.92 + 0.06, 0, 1)) * each(0.7, 1.3)
+    turn = 2.4 * np.arange(count)[:, None] + rng.normal(0, 0.2, (count, 1))
+    c, s = np.cos(turn), np.sin(turn)
+    points = np.empty((count, 6, 3, 3))
+    for k, side in enumerate((-1.0, 0.0, 1.0)):  # left edge, rib, right edge
+        across = side * half
+        points[:, :, k, 0], points[:, :, k, 1] = c * out - s * across, s * out + c * across
+        points[:, :, k, 2] = up + 0.3 * half * (side if side else -1.0)
+    uv = np.stack(
+        np.broadcast_arrays(points[..., 0] * 0 + wide, length[..., None] * t[..., None]), -1
+    )
+    uv[..., 0] *= np.arange(3)
+    parts = [sheets(points, uv)]
     if stem:
         line = np.array([[0, 0, 0], [0.01, 0, stem / 2], [0, 0.01, stem]]) * height
         parts.append(tube(line, 0.03 * height, 6))

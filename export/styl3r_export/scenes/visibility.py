@@ -1,8 +1,9 @@
 """First hits of camera rays in a triangle soup: exact ray casting, bounded by screen rectangles."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from styl3r_cli.splatting.compiler import kernel
 
 #: Hits closer than this (scene units, about metres) are inside the lens and do not count.
 NEAR = 0.02
@@ -10,7 +11,7 @@ NEAR = 0.02
 EDGE_ON = 1e-13
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def _screen_bounds(
     triangle: NDArray[np.float32], fx: float, fy: float, cx: float, cy: float
 ) -> tuple[float, float, float, float]:
@@ -33,7 +34,7 @@ def _screen_bounds(
     return low_x, low_y, high_x, high_y
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def edge_planes(triangle: NDArray[np.float32], planes: NDArray[np.float64]) -> float:
     """Planes through the eye and each edge; a ray's barycentrics are its products with them.
 
@@ -58,7 +59,7 @@ def edge_planes(triangle: NDArray[np.float32], planes: NDArray[np.float64]) -> f
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def first_hits(
     triangles: NDArray[np.float32],
     intrinsics: tuple[float, float, float, float],
