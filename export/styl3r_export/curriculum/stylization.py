@@ -20,11 +20,11 @@ from styl3r_export.model import Styl3r
 from styl3r_export.model.adapter import pixel_rays
 
 WEIGHTS = {
-    "teacher": 4.0,  # mean absolute difference to the 2D teacher's picture
+    "teacher": 8.0,  # mean absolute difference to the 2D teacher's picture
     "style": 10.0,  # the paper's weight; here relative to the style's own statistics
-    "content": 30.0,
+    "content": 5.0,
     "identity": 70.0,  # squared difference, content photo as style (published)
-    "agreement": 4.0,  # mean absolute difference of one place's colours between views
+    "agreement": 2.0,  # mean absolute difference of one place's colours between views
 }
 # The style distance is divided by this times the features' size, so that its weight does not
 # depend on the perceptual network.
