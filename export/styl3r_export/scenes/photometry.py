@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 #: Largest blur by defocus (pixels, standard deviation).
 WIDEST_BLUR = 4.0
 #: Share of scenes photographed with a shallow depth of field.
-SHALLOW = 0.15
+SHALLOW = 0.1
 #: Geometric mean brightness of a picture (linear, before the tone curve): night to glare.
-KEY = (0.09, 0.34)
+KEY = (0.11, 0.38)
 
 
 @dataclass(frozen=True)

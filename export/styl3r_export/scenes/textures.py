@@ -75,7 +75,7 @@ class TextureBank:
 
 def _recoloured(rng: np.random.Generator, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Saturation, contrast, tint and brightness varied, sometimes strongly."""
-    saturation, contrast = rng.uniform(0.3, 1.4), rng.uniform(0.5, 1.2)
+    saturation, contrast = rng.uniform(0.25, 1.25), rng.uniform(0.5, 1.2)
     strength = 0.3 if rng.random() < 0.12 else 0.08
     gain = np.exp(rng.normal(0, strength, 3)) * rng.uniform(0.75, 1.3)
     mix = saturation * np.eye(3) + (1 - saturation) / 3  # about each pixel's own grey
