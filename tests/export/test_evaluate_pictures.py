@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,12 +17,14 @@ from plane_scene import cameras, perfect_prediction, plane_group
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
+from styl3r_cli.splatting import render
 from styl3r_export.evaluate.align import Similarity, align
 from styl3r_export.evaluate.consistency import camera_path, consistency_values
 from styl3r_export.evaluate.depth import depth_values
 from styl3r_export.evaluate.histogram import histogram, histogram_distance
 from styl3r_export.evaluate.image_metrics import edge_ssim, psnr, ssim
 from styl3r_export.evaluate.novel_views import novel_view_values, warp
+from styl3r_export.evaluate.pose_adjustment import adjust_pose
 from styl3r_export.evaluate.poses import camera_values
 from styl3r_export.evaluate.style import (
     Painting,
@@ -151,6 +154,26 @@ def test_a_wrong_camera_costs() -> None:
     wrong = novel_view_values(group, prediction, gaussians, "true", None, 1)
     key = ("novel view", "PSNR (dB)", "model")
     assert wrong[key][0] < right[key][0] - 5
+
+
+def test_a_slightly_wrong_pose_can_be_adjusted() -> None:
+    group = plane_group(64)
+    prediction, gaussians = perfect_prediction(group, WORLD)
+    right = prediction.recovered.cameras[0]
+    nudge = np.eye(4)
+    nudge[:3, :3] = Rotation.from_rotvec([0.01, 0.02, -0.01]).as_matrix()
+    nudge[:3, 3] = [0.02 * WORLD.scale, 0, 0]
+    wrong = replace(right, extrinsics=nudge @ right.extrinsics)
+    photo = group.views[0].pixels / np.float32(255)
+    unit = 0.6 * WORLD.scale  # between the outer cameras
+    fitted = adjust_pose(gaussians, wrong, photo, unit, 30, 1)
+    before, after, best = (
+        psnr(render(gaussians, camera, threads=1).colour, photo)
+        for camera in (wrong, fitted, right)
+    )
+    assert before < best - 4
+    assert after > best - 1
+    np.testing.assert_allclose(np.linalg.det(fitted.extrinsics[:3, :3]), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize("shift", [(3, 0), (0, -4), (2, 5)])

@@ -41,6 +41,10 @@ FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
     help="What the network is given.",
 )  # fmt: skip
 @click.option(
+    "--pose-steps", default=0, show_default=True,
+    help="Also fit targets' cameras to their photos (published: 50); slow.",
+)  # fmt: skip
+@click.option(
     "--training-scene", "training_scenes", multiple=True, default=TRAINING_SCENES,
     show_default=True, help="A scene that training may have seen: reported apart.",
 )  # fmt: skip

@@ -23,6 +23,7 @@ PAIRS = {"short": ((0, 1), (3, 4), (6, 7)), "long": ((0, 7),)}
 # A pixel is compared if this much of it is covered, by Gaussians and by moved pixels: black holes
 # agree with each other only too well.
 LEAST_COVER = 0.5
+LEAST_CONTRAST = 1 / 255  # below it a frame is one colour
 OWN = "own colours"
 
 Picture = NDArray[np.floating]
@@ -51,7 +52,7 @@ def consistency_values(
     teachers: Teachers,
     threads: int,
 ) -> Values:
-    """RMSE and LPIPS between a frame and an earlier one moved to it by optical flow.
+    """How much a frame differs from an earlier one that optical flow moved to its place.
 
     One camera path through the recovered input cameras, one flow (of the frames in the scene's own
     colours), the same pixels for everybody. `own colours` is what remains where nothing was
@@ -79,12 +80,14 @@ def consistency_values(
     for reach, pairs in PAIRS.items():
         for a, b in pairs:
             motion = find_motion(frames[a], frames[b], teachers)
+            key = ("consistency", f"{reach} share of pixels compared", MODEL)
+            values.setdefault(key, []).append(float(motion.valid.mean()))
             if motion.valid.any():
                 for method, movie in movies.items():
-                    rmse, distance = disagreement(movie[a], movie[b], motion, teachers)
-                    values.setdefault(("consistency", f"{reach} RMSE", method), []).append(rmse)
-                    key = ("consistency", f"{reach} LPIPS", method)
-                    values.setdefault(key, []).append(distance)
+                    measures = disagreement(movie[a], movie[b], motion, teachers)
+                    for name, value in measures.items():
+                        key = ("consistency", f"{reach} {name}", method)
+                        values.setdefault(key, []).append(value)
     return values
 
 
@@ -108,9 +111,18 @@ def find_motion(a: Frame, b: Frame, teachers: Teachers) -> Motion:
     return Motion(flow, importance, valid)
 
 
-def disagreement(a: Picture, b: Picture, motion: Motion, teachers: Teachers) -> tuple[float, float]:
-    """RMSE over the valid pixels, and LPIPS with all others black."""
+def disagreement(a: Picture, b: Picture, motion: Motion, teachers: Teachers) -> dict[str, float]:
+    """RMSE over the valid pixels, also relative to their contrast, and LPIPS, others black.
+
+    Dull frames agree in RMSE whatever they show; the one relative to contrast (the standard
+    deviation of b's valid pixels) does not let them.
+    """
     moved, _ = splat(a, motion.flow, motion.importance)
-    rmse = np.sqrt(np.mean((moved - b)[motion.valid] ** 2))
+    seen = b[motion.valid]
+    rmse = float(np.sqrt(np.mean((moved[motion.valid] - seen) ** 2)))
     mask = motion.valid[..., None]
-    return float(rmse), teachers.lpips(moved * mask, b * mask)
+    return {
+        "RMSE": rmse,
+        "RMSE over contrast": rmse / max(float(seen.std()), LEAST_CONTRAST),
+        "LPIPS": teachers.lpips(moved * mask, b * mask),
+    }

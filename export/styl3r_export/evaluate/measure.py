@@ -60,6 +60,7 @@ class Settings:
         styled_per_scene: how many of these are stylized as well, each in another painting.
         size: side of the crops.
         intrinsics: what the network is given.
+        pose_steps: for the targets' cameras (see novel_views); 0 for none.
         training_scenes: reported apart.
         threads: for everything.
     """
@@ -75,6 +76,7 @@ class Settings:
     styled_per_scene: int
     size: int
     intrinsics: Intrinsics
+    pose_steps: int
     training_scenes: tuple[str, ...]
     threads: int
 
@@ -145,9 +147,9 @@ class Evaluator:
         ]
 
     def _novel_view(self, group: Group, prediction: Prediction, own: Gaussians) -> Values:
-        lpips = None if self.teachers is None else self.teachers.lpips
-        threads = self.settings.threads
-        return novel_view_values(group, prediction, own, self.settings.intrinsics, lpips, threads)
+        settings, lpips = self.settings, None if self.teachers is None else self.teachers.lpips
+        how = (settings.intrinsics, lpips, settings.threads, settings.pose_steps)
+        return novel_view_values(group, prediction, own, *how)
 
     def _style(
         self, group: Group, prediction: Prediction, stylized: Gaussians, painting: Painting

@@ -16,6 +16,7 @@ from styl3r_export.evaluate.align import align
 from styl3r_export.evaluate.groups import Group
 from styl3r_export.evaluate.image_metrics import psnr, ssim
 from styl3r_export.evaluate.lpips import Lpips
+from styl3r_export.evaluate.pose_adjustment import adjust_pose
 from styl3r_export.evaluate.predict import Intrinsics, Prediction, given_camera
 from styl3r_export.evaluate.records import MODEL, Values
 from styl3r_export.evaluate.scenes import TrueView
@@ -32,11 +33,13 @@ def novel_view_values(
     intrinsics: Intrinsics,
     lpips: Lpips | None,
     threads: int,
+    pose_steps: int = 0,
 ) -> Values:
     """PSNR, SSIM and LPIPS of the group's target; nothing for a group without one.
 
     The target's camera is the true one, brought to the model's world by the inputs' cameras
-    alone. Nothing is adjusted to the target's picture.
+    alone. With `pose_steps`, `model, pose adjusted` also fits that camera to the target's picture,
+    as the published evaluation does.
 
     Baselines: `nearest photo` is the input whose camera is closest; `homography (oracle)` warps
     it by the homography between the points that it and the target are known to share, which takes
@@ -53,6 +56,11 @@ def novel_view_values(
         "homography (oracle)": warp(nearest, target) / np.float32(255),
     }
     truth, values = target.pixels / np.float32(255), Values()
+    if pose_steps:
+        eyes = [centre(prediction.recovered.cameras[k].extrinsics) for k in (0, -1)]
+        unit = float(np.linalg.norm(eyes[1] - eyes[0]))
+        fitted = adjust_pose(gaussians, camera, truth, unit, pose_steps, threads)
+        pictures["model, pose adjusted"] = render(gaussians, fitted, threads=threads).colour
     for method, picture in pictures.items():
         values["novel view", "PSNR (dB)", method] = [psnr(picture, truth)]
         values["novel view", "SSIM", method] = [ssim(picture, truth)]

@@ -14,7 +14,7 @@ AUC_OF = ("cameras", "larger of both (deg)")
 ORDER = ("depth", "cameras", "novel view", "style", "content", "consistency")
 
 # Which way is better, for whoever reads the table.
-HIGHER = ("AUC", "delta", "PSNR", "SSIM")
+HIGHER = ("AUC", "delta", "PSNR", "SSIM", "share of pixels")
 
 
 def sections(records: Sequence[Record]) -> list[tuple[str, int]]:
