@@ -71,8 +71,8 @@ def main() -> None:
         triples = data.prefetch(data.batches(args.data, seed, args.batch, (3,)))
         trainer.run(triples, step, seconds=args.seconds)
     else:
-        batches, step = style_stage(args, scenes, seed)
-        trainer.run(batches, step, seconds=args.seconds)
+        batches, style_step = style_stage(args, scenes, seed)
+        trainer.run(batches, style_step, seconds=args.seconds)
 
 
 def style_stage(

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from styl3r_export.curriculum.layout import channels_last
 from styl3r_export.curriculum.teachers import load_npz
 
 # Stabilises the standard deviation of constant features (published).
@@ -70,6 +71,9 @@ class TorchvisionVgg(nn.Module):
     LAYOUT = (64, 64, "M", 128, 128, "M", 256, 256, 256, 256, "M", 512)
     TAPS = (1, 6, 11, 20)  # relu1_1, relu2_1, relu3_1, relu4_1
 
+    mean: Tensor
+    std: Tensor
+
     def __init__(self, weights: Path) -> None:
         super().__init__()
         layers: list[nn.Module] = []
@@ -101,8 +105,9 @@ class TorchvisionVgg(nn.Module):
 def load_perceptual(weights: Path) -> nn.Module:
     """The network whose weights a file holds: .npz is the slim VGG19, else torchvision's."""
     slim = weights.suffix == ".npz"
-    network = SlimVgg(weights, widened=False) if slim else TorchvisionVgg(weights)
-    return network.to(memory_format=torch.channels_last)
+    network: nn.Module = SlimVgg(weights, widened=False) if slim else TorchvisionVgg(weights)
+    channels_last(network)
+    return network
 
 
 def statistics(

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from styl3r_export.curriculum.layout import channels_last
 from styl3r_export.model import ModelConfig, Styl3r, build
 
 # Loss terms by name, already weighted; their sum is minimised.
@@ -74,7 +75,7 @@ class Trainer:
             else:
                 load_fitting(self.model, state["model"])
         # Convolutions in half precision are up to twice as fast with the channels innermost.
-        self.model.train().to(memory_format=torch.channels_last)
+        channels_last(self.model.train())
         for name, parameter in self.model.named_parameters():
             parameter.requires_grad_(trainable(name))
         self.frozen = {

@@ -58,7 +58,7 @@ def adjust_pose(
         torch.autograd.backward(error)
         optimiser.step()
     turn, shift = _motion(best, unit)
-    moved = camera.extrinsics.copy()
+    moved: NDArray[np.float64] = np.array(camera.extrinsics, np.float64)
     rotation = rotate_vectors(turn, torch.eye(3)).T.numpy().astype(np.float64)
     moved[:3] = rotation @ camera.extrinsics[:3]
     moved[:3, 3] += shift.numpy()
@@ -69,7 +69,9 @@ def _in_camera(gaussians: Gaussians, camera: Camera) -> list[Tensor]:
     """Means, scales, rotations, opacities and colours, in the camera's own frame."""
     rotation = camera.extrinsics[:3, :3]
     means = gaussians.means @ rotation.T + camera.extrinsics[:3, 3]
-    quaternion = from_camera(replace(camera, extrinsics=np.linalg.inv(camera.extrinsics)))[:4]
+    quaternion = from_camera(
+        replace(camera, extrinsics=np.linalg.inv(camera.extrinsics).astype(np.float64))
+    )[:4]
     turn = torch.from_numpy(quaternion.astype(np.float32))
     rotations = multiply_quaternions(turn, torch.from_numpy(gaussians.rotations))
     rest = (torch.from_numpy(a) for a in (gaussians.opacities, gaussians.colours))

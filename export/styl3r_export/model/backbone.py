@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -10,6 +12,7 @@ from styl3r_export.model.blocks import (
     NORM_EPS,
     DecoderBlock,
     EncoderBlock,
+    Rope,
     grid_positions,
     rope_table,
 )
@@ -99,7 +102,7 @@ class Backbone(nn.Module):
         for layer, (first, rest) in enumerate(
             zip(self.dec_blocks, self.dec_blocks2, strict=True), start=1
         ):
-            tokens = decode_layer(first, rest, tokens, rope)
+            tokens = decode_layer(cast(DecoderBlock, first), cast(DecoderBlock, rest), tokens, rope)
             if layer in self.config.hooks:
                 out = self.dec_norm(tokens) if layer == last else tokens
                 hooked.append(out[:, :, :-1])
@@ -108,10 +111,13 @@ class Backbone(nn.Module):
 
 
 def decode_layer(
-    first: DecoderBlock, rest: DecoderBlock, tokens: Float[Tensor, "batch views tokens dim"], rope
+    first: DecoderBlock,
+    rest: DecoderBlock,
+    tokens: Float[Tensor, "batch views tokens dim"],
+    rope: Rope,
 ) -> Float[Tensor, "batch views tokens dim"]:
     """One decoder layer of all views, each reading every other view's previous tokens."""
-    batch, views, length, dim = tokens.shape
+    batch, views = tokens.shape[:2]
     others = tokens[:, 1:]
     # The first view reads the others, in one sequence.
     k, v = first.memory(others.flatten(0, 1), rope)

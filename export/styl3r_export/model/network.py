@@ -75,7 +75,9 @@ UNTRAINED_STRUCTURE = (3.0, -1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0)
 @torch.no_grad()
 def zero_output(head: Head, bias: float | tuple[float, ...]) -> None:
     """Make a head's output the given constants, whatever comes in."""
-    last = head.dpt.head[4]
+    last = head.get_submodule("dpt.head.4")
+    assert isinstance(last, nn.Conv2d)
+    assert last.bias is not None
     last.weight.zero_()
     last.bias.copy_(torch.as_tensor(bias).expand_as(last.bias))
 

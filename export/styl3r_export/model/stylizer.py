@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -68,7 +70,8 @@ class TokenStylizer(nn.Module):
         x = self.decoder_embed(content.flatten(1, 2))
         memory = self.decoder_embed(style)
         hooked = [content[:, :, :-1]]
-        for layer, block in enumerate(self.dec_blocks, start=1):
+        for layer, module in enumerate(self.dec_blocks, start=1):
+            block = cast(DecoderBlock, module)
             x = block(x, rope, *block.memory(memory, style_rope))
             if layer in stylizer_hooks(self.config):
                 out = self.dec_norm(x) if layer == self.config.stylizer_depth else x
