@@ -81,7 +81,7 @@ def trace_structure(model: Styl3r) -> ir.Model:
     images = torch.rand(TRACE_VIEWS, 3, PATCH * rows, PATCH * columns)
     intrinsics = torch.eye(3).expand(TRACE_VIEWS, 3, 3).contiguous()
     views, height, width = _view_dims()
-    return _trace(
+    return trace(
         StructureGraph(model),
         {"images": images, "intrinsics": intrinsics},
         {"images": {0: views, 2: height, 3: width}, "intrinsics": {0: views}},
@@ -95,7 +95,7 @@ def trace_appearance(model: Styl3r) -> ir.Model:
     views, height, width = _view_dims()
     styles = Dim("styles", min=1, max=MAX_STYLES)
     style_rows, style_columns = (Dim(n, max=MAX_GRID) for n in ("style_rows", "style_columns"))
-    return _trace(
+    return trace(
         AppearanceGraph(model),
         {
             "content_tokens": torch.rand(TRACE_VIEWS, rows * columns + 1, model.config.encoder_dim),
@@ -121,9 +121,17 @@ def _view_dims() -> tuple[Any, Any, Any]:
     return views, PATCH * Dim("rows", max=MAX_GRID), PATCH * Dim("columns", max=MAX_GRID)
 
 
-def _trace(
+def trace(
     module: nn.Module, inputs: dict[str, Tensor], dims: dict[str, Any], outputs: list[str]
 ) -> ir.Model:
+    """A module's graph as torch's exporter makes it, without its simplifications.
+
+    Args:
+        module: in eval mode; initializers get its parameters' names.
+        inputs: example inputs by name.
+        dims: dynamic axes of each input.
+        outputs: names of the outputs.
+    """
     with torch.no_grad(), _silence():
         program = torch.onnx.export(
             module.eval(),
