@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +25,8 @@ SILENT = 4  # onnxruntime's severity "fatal": its other complaints are raised as
 # After each run the memory that it used goes back, or the two graphs' peaks would add up: 325
 # instead of 433 MB for two views (mini), at no measurable cost in time.
 SHRINK = ("memory.enable_memory_arena_shrinkage", "cpu:0")
+
+_finding_cuda = Lock()
 
 
 class Graph:
@@ -135,13 +140,26 @@ def providers(device: str) -> list[str]:
     import onnxruntime as ort
 
     if CUDA in ort.get_available_providers():
+        _find_cuda()
         return [CUDA, CPU]
     if device == "cuda":
         raise UsageError(
-            "--device cuda: the installed onnxruntime runs on CPUs only; "
-            "replace it: pip uninstall onnxruntime, then pip install onnxruntime-gpu"
+            "--device cuda: the installed onnxruntime runs on CPUs only; replace it: pip uninstall "
+            "onnxruntime, then pip install --force-reinstall --no-deps onnxruntime-gpu"
         )
     return [CPU]
+
+
+def _find_cuda() -> None:
+    """Let onnxruntime find the CUDA libraries that pip installed (the extra `gpu` brings them).
+
+    What it prints about missing ones would mix with results on standard output; the session says
+    whether it works. Graphs load in threads, and only one at a time may swap standard output.
+    """
+    import onnxruntime as ort
+
+    with _finding_cuda, redirect_stdout(io.StringIO()):
+        ort.preload_dlls()
 
 
 def available_cores() -> int:

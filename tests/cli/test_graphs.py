@@ -18,7 +18,7 @@ from tiny_model import APPEARANCE_GRAPH, STRUCTURE_GRAPH, parse_graph, write_man
 from styl3r_cli import manifest as manifests
 from styl3r_cli.errors import ModelError, UsageError
 from styl3r_cli.graphs import Model
-from styl3r_cli.sessions import Graph, available_cores
+from styl3r_cli.sessions import Graph, available_cores, providers
 
 onnx = pytest.importorskip("onnx")
 
@@ -150,6 +150,27 @@ def test_devices(tiny_model: Path) -> None:
     assert Model.load(str(tiny_model), "auto").device == "cpu"
     with pytest.raises(UsageError, match="onnxruntime-gpu"):
         Model.load(str(tiny_model), "cuda")
+
+
+def test_cuda_is_preferred_and_its_libraries_are_looked_for_silently(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import onnxruntime
+
+    cuda, cpu = "CUDAExecutionProvider", "CPUExecutionProvider"
+    looked: list[str] = []
+
+    def preload() -> None:
+        looked.append("for libraries")
+        print("Failed to load libcublas")
+
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [cuda, cpu])
+    monkeypatch.setattr(onnxruntime, "preload_dlls", preload)
+    assert providers("cpu") == [cpu]
+    assert not looked
+    assert providers("auto") == providers("cuda") == [cuda, cpu]
+    assert len(looked) == 2
+    assert capsys.readouterr().out == ""
 
 
 def test_impossible_input_is_one_line(tiny_model: Path) -> None:
