@@ -114,7 +114,7 @@ def twists(both: BothWays) -> Float[Tensor, "2*pairs 6 6"]:
     The identity for the first half. For the inverse motion R', t' = R^T, -R^T t a turn w and a
     shift d of the original come out as -R' w and [t']x R' w - R' d.
     """
-    pairs = len(both.rotation) // 2
+    pairs = both.rotation.shape[0] // 2
     rotation, shift = both.rotation[pairs:], both.translation[pairs:]
     top = torch.cat((-rotation, rotation * 0), dim=-1)
     bottom = torch.cat((skew(shift) @ rotation, -rotation), dim=-1)
@@ -194,7 +194,7 @@ def reduce(normal: Normal, twist: Tensor, moved: Float[Tensor, "pairs 6"]) -> tu
     gradient = normal.pose_gradient - (share * normal.depth_gradient[..., None]).sum(dim=1)
     matrix = twist.transpose(-1, -2) @ matrix @ twist
     gradient = (twist.transpose(-1, -2) @ gradient[..., None]).squeeze(-1)
-    pairs = len(moved)
+    pairs = moved.shape[0]
     matrix, gradient = matrix[:pairs] + matrix[pairs:], gradient[:pairs] + gradient[pairs:]
     held = GUESS_ERROR**-2
     eye = torch.eye(6, device=matrix.device)

@@ -97,7 +97,8 @@ class StarMatching(nn.Module):
         sides = Sides(F.pad(own, (0, 1), value=1.0), matched, weight, one, one * FLAT_STIFFNESS)
         motion, rho = adjust(standing(own), sides, FIRST_OUTLIERS)
         numbers = describe(sides, variance, rho, fit(motion, sides, rho))
-        first, rest = numbers.chunk(2)
+        pairs = motion.translation.shape[0]
+        first, rest = numbers[:pairs], numbers[pairs:]
         return matches, Pairs(sides, motion), first, rest
 
     def forward(
@@ -109,7 +110,7 @@ class StarMatching(nn.Module):
         rows, columns = maps.shape[-2:]
         with full_precision(maps):
             matches, pairs, first, rest = self.solve(maps, intrinsics)
-        batch = (len(maps), maps.shape[1] - 1)
+        batch = (maps.shape[0], maps.shape[1] - 1)
         token0 = self.first(to_tokens(first.unflatten(0, batch), rows, columns))
         tokens = self.rest(to_tokens(rest.unflatten(0, batch), rows, columns))
         camera = self.camera(torch.cat(pairs.motion, dim=-1)).unflatten(0, batch)
@@ -120,7 +121,7 @@ class StarMatching(nn.Module):
 
 def standing(cells: Float[Tensor, "2*pairs cells 2"]) -> Motion:
     """The motion of cameras that stay where they are, one a pair."""
-    zero = cells[: len(cells) // 2, 0, :1] * 0
+    zero = cells[: cells.shape[0] // 2, 0, :1] * 0
     return Motion(torch.cat((zero + 1, zero, zero, zero), -1), torch.cat((zero, zero, zero), -1))
 
 

@@ -221,7 +221,7 @@ class Styl3r(nn.Module):
         # so the four pixels at the centre stand for it.
         cells = (F.avg_pool2d(t[..., 3:-3, 3:-3], 2, 8).flatten(2) for t in (depth, log_error))
         motion = settle(pairs, guess, *cells)
-        batch = len(images)
+        batch = images.shape[0]
         return RayDecoding(
             depth, log_error, pose_of_motion(motion, batch), pose_of_motion(guess, batch),
             pose_of_motion(pairs.motion, batch), matches, flat,
