@@ -157,7 +157,7 @@ def test_a_wrong_camera_costs() -> None:
 
 
 def test_a_slightly_wrong_pose_can_be_adjusted() -> None:
-    group = plane_group(64)
+    group = plane_group(48)
     prediction, gaussians = perfect_prediction(group, WORLD)
     right = prediction.recovered.cameras[0]
     nudge = np.eye(4)
