@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,15 @@ import numpy as np
 import pytest
 from PIL import Image
 from tiny_model import write_model
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ctrl_c() -> None:
+    """Let SIGINT mean Ctrl-C, also where a shell started the tests in the background.
+
+    Such a shell has it ignored, and processes that the tests start would inherit that.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

@@ -40,7 +40,12 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--device", default="cpu")
-    return parser.parse_args()
+    args = parser.parse_args()
+    needs = {"novel-views": ("perceptual",), "style": ("perceptual", "styles", "photos")}
+    missing = [f"--{name}" for name in needs.get(args.stage, ()) if getattr(args, name) is None]
+    if missing:
+        parser.error(f"the {args.stage} stage needs {' and '.join(missing)}")
+    return args
 
 
 def main() -> None:
