@@ -41,13 +41,20 @@ class Graph:
         self._outputs = {o.name: o for o in session.get_outputs()}
 
     @classmethod
-    def load(cls, path: Path, device: str = "auto", threads: int | None = None) -> Graph:
+    def load(
+        cls,
+        path: Path,
+        device: str = "auto",
+        threads: int | None = None,
+        optimise: bool = True,
+    ) -> Graph:
         """Open a graph file; the weights beside it too, if they are in a file of their own.
 
         Args:
             path: the .onnx file.
             device: one of DEVICES.
             threads: for its runs; None for every core this process may use.
+            optimise: fuse operators, which makes loading slower and runs faster.
 
         Raises:
             ModelError: onnxruntime cannot load it (weights outside its folder, among others).
@@ -60,6 +67,8 @@ class Graph:
         options.log_severity_level = SILENT
         options.intra_op_num_threads = threads or available_cores()
         options.inter_op_num_threads = 1
+        if not optimise:
+            options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         try:
             graph = cls(path, ort.InferenceSession(path, options, providers=providers(device)))
         except UsageError:

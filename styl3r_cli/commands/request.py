@@ -73,7 +73,8 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
         return load_photos(paths, size, request.fov, known)
 
     with ThreadPoolExecutor(1) as pool:
-        loading = pool.submit(Stylizer, request.model, request.device, request.threads)
+        settings = request.model, request.device, request.threads
+        loading = pool.submit(Stylizer, *settings, one_scene=True)
         with console.stage("photos"):
             styles = [load_style(style.path) for style in request.styles]
             size = request.size[::-1] if request.size else DEFAULT_SIZE

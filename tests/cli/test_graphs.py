@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from tiny_model import APPEARANCE_GRAPH, STRUCTURE_GRAPH, parse_graph, write_manifest, write_model
 
+from styl3r_cli import graphs
 from styl3r_cli import manifest as manifests
 from styl3r_cli.errors import ModelError, UsageError
 from styl3r_cli.graphs import Model
@@ -171,6 +172,35 @@ def test_cuda_is_preferred_and_its_libraries_are_looked_for_silently(
     assert providers("auto") == providers("cuda") == [cuda, cpu]
     assert len(looked) == 2
     assert capsys.readouterr().out == ""
+
+
+def test_one_scene_loads_a_small_structure_graph_as_it_is(
+    tiny_model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    optimised: dict[str, bool] = {}
+    load = Graph.load
+
+    def recorded(
+        path: Path, device: str, threads: int | None = None, optimise: bool = True
+    ) -> Graph:
+        optimised[path.name] = optimise
+        return load(path, device, threads, optimise)
+
+    monkeypatch.setattr(Graph, "load", recorded)
+    rng = np.random.default_rng(0)
+    feeds = {
+        "images": rng.random((2, 3, 32, 32), np.float32),
+        "intrinsics": np.tile(np.diag([0.8, 0.8, 1]), (2, 1, 1)),
+    }
+    often = Model.load(str(tiny_model), "cpu", 1).structure(feeds)
+    assert optimised == {"structure.onnx": True, "appearance.onnx": True}
+    once = Model.load(str(tiny_model), "cpu", 1, one_scene=True).structure(feeds)
+    assert optimised == {"structure.onnx": False, "appearance.onnx": True}
+    for name, values in often.items():
+        np.testing.assert_allclose(once[name], values, rtol=1e-5, atol=1e-6)
+    monkeypatch.setattr(graphs, "SMALL_GRAPH", 100)
+    Model.load(str(tiny_model), "cpu", 1, one_scene=True)
+    assert optimised == {"structure.onnx": True, "appearance.onnx": True}
 
 
 def test_impossible_input_is_one_line(tiny_model: Path) -> None:
