@@ -1,0 +1,231 @@
+"""Decoded depths made to agree with the matches: a scale for each view, then single cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from styl3r_export.model.bundle import (
+    DAMPING,
+    FARTHEST,
+    GUESS_ERROR,
+    MAX_STEP,
+    MAX_TURN,
+    NEAREST,
+    BothWays,
+    Normal,
+    Sides,
+    both_ways,
+    limit,
+    move,
+    normal_equations,
+    solve,
+    twists,
+)
+from styl3r_export.model.matching import SHARP, TINY, Expected, Matches, cell_rays
+from styl3r_export.model.rotations import Motion, full_precision
+
+# Pixels a side of one cell.
+CELL = 8
+# Cells on each side of a match's peak that its expected place is taken over: farther ones are
+# other candidates, and an average of candidates lies on none of them.
+REACH = 2
+# True depth errors over predicted ones. A cell's error is shared with its neighbours, so it
+# counts more often than once, and photos are harder than generated scenes.
+MODESTY = 2.0
+# Errors (ray units; a cell of a 256 px picture is about 0.03 wide) at which matches are
+# discounted, by iteration.
+OUTLIERS = (0.12, 0.08, 0.05, 0.03)
+# Largest correction of log depth, a factor of two: beyond it a match is more likely wrong than
+# the decoder is.
+MAX_CORRECTION = 0.7
+
+
+class Refined(NamedTuple):
+    """Cameras and depths that agree with each other."""
+
+    motion: Motion  # (batch * others) pairs
+    depth: Float[Tensor, "batch views H W"]
+
+
+def refine(
+    guess: Motion,
+    depth: Float[Tensor, "batch views H W"],
+    log_error: Float[Tensor, "batch views H W"],
+    matches: Matches,
+    intrinsics: Float[Tensor, "batch views 3 3"],
+) -> Refined:
+    """Pull cameras, scales and depths to where the views' points meet along their matches.
+
+    Each view but the first gets a pose and one scale for all of its depths, every 1/8 cell a
+    depth of its own; all are weakly held to what was decoded, depths as firmly as their expected
+    errors say. Without matches nothing moves.
+
+    Args:
+        guess: world-to-camera motions, (batch * others) pairs.
+        depth: along each view's z axis; H and W multiples of 16.
+        log_error: log of the depth's expected relative error.
+        matches: log-probabilities between the first view's cells and every other view's.
+        intrinsics: normalised by width and height.
+
+    Returns:
+        The motions, and the depths times a smooth correction (at most a factor of two).
+    """
+    batch, views = depth.shape[:2]
+    rows, columns = depth.shape[-2] // CELL, depth.shape[-1] // CELL
+    with full_precision(depth):
+        sides = known_sides(matches, depth, log_error, intrinsics)
+        adjusted = adjust_scaled(guess, sides, OUTLIERS)
+        here = fuse(adjusted, sides, (batch, views - 1))
+        there = adjusted.change[batch * (views - 1) :].unflatten(0, (batch, views - 1))
+        change = torch.cat((here[:, None], there), dim=1)
+        change = change.clamp(-MAX_CORRECTION, MAX_CORRECTION)
+        change = change.unflatten(-1, (rows, columns))
+        change = F.interpolate(change, scale_factor=CELL, mode="bilinear")
+    return Refined(adjusted.motion, depth * change.exp())
+
+
+def known_sides(matches: Matches, depth: Tensor, log_error: Tensor, intrinsics: Tensor) -> Sides:
+    """The two sides of every pair: sharp matches, and decoded depths as priors."""
+    grid, others = (depth.shape[-2] // CELL, depth.shape[-1] // CELL), depth.shape[1] - 1
+    rays = cell_rays(intrinsics, *grid)
+    joint = matches.forward + matches.backward
+    here = expect_near_peak(joint, rays[:, :1], rays[:, 1:], grid)
+    there = expect_near_peak(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1], grid)
+    # Depth changes less within a cell than it differs between a cell's centre and its mean,
+    # so the four pixels at the centre stand for it.
+    z, error = (F.avg_pool2d(t[..., 3:-3, 3:-3], 2, CELL).flatten(2) for t in (depth, log_error))
+    rho = (1 / z).clamp(FARTHEST, NEAREST)
+    stiffness = (error.exp() * MODESTY * rho).square().reciprocal()
+
+    def both(a: Tensor, b: Tensor) -> Tensor:
+        return torch.cat((a.flatten(0, 1), b.flatten(0, 1)))
+
+    own, matched, weight, _ = (both(a, b) for a, b in zip(here, there, strict=True))
+    prior, stiff = (both(t[:, :1].expand(-1, others, -1), t[:, 1:]) for t in (rho, stiffness))
+    return Sides(F.pad(own, (0, 1), value=1.0), matched, weight, prior, stiff)
+
+
+def expect_near_peak(
+    log_joint: Float[Tensor, "batch others here there"],
+    here: Float[Tensor, "batch _ here 2"],
+    there: Float[Tensor, "batch _ there 2"],
+    grid: tuple[int, int],
+) -> Expected:
+    """`matching.expect` over the cells around each most probable match only."""
+    rows, columns = grid
+    peak = log_joint.argmax(dim=-1, keepdim=True)
+    away = torch.arange(-REACH, REACH + 1, device=peak.device)
+    row = peak // columns + away.repeat_interleave(len(away))
+    column = peak % columns + away.repeat(len(away))
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    index = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+    joint = log_joint.gather(-1, index).exp() * inside
+    confidence = joint.sum(dim=-1)
+    weight = (joint / (confidence[..., None] + TINY))[..., None]
+    x, y = (
+        t.expand(index.shape[:2] + t.shape[2:]).gather(-1, index.flatten(2)).view_as(index)
+        for t in there.unbind(-1)
+    )
+    place = torch.stack((x, y), dim=-1)
+    matched = (weight * place).sum(dim=-2)
+    spread = (weight * (place - matched[..., None, :]).square()).sum(dim=(-1, -2))
+    sharp = confidence / (1 + spread / SHARP**2)
+    return Expected(here.expand_as(matched), matched, sharp, spread)
+
+
+class Adjusted(NamedTuple):
+    """Cameras, and what has become of both sides' cells."""
+
+    motion: Motion
+    change: Float[Tensor, "2*pairs cells"]  # of log depth, scale and all
+    precision: Float[Tensor, "2*pairs cells"]  # of inverse depth: matches and prior
+
+
+def adjust_scaled(guess: Motion, sides: Sides, outliers: Sequence[float]) -> Adjusted:
+    """`bundle.adjust` with a seventh parameter, the scale of the other view's decoded depths.
+
+    Errors of one view's depths are mostly common to all of them; a scale of its own lets the
+    view follow the matches where single depths, each held to its prior, would not. Solved for
+    together with the pose: in turns, they would hold each other back.
+    """
+    motion, rho = guess, sides.prior
+    moved = F.pad(guess.translation * 0, (0, 4))
+    for outlier in outliers:
+        both = both_ways(motion)
+        held = rescale(sides, moved[:, 6])
+        normal = with_scale(normal_equations(both, held, rho, outlier), held, rho)
+        twist = scaled_twists(both)
+        step = solve(*reduce_scaled(normal, twist, moved))
+        turn, shift, scale = step.split((3, 3, 1), dim=-1)
+        limited = (limit(turn, MAX_TURN), limit(shift, MAX_STEP), limit(scale, MAX_STEP))
+        step = torch.cat(limited, dim=-1)
+        own_step = (twist @ torch.cat((step, step))[..., None]).squeeze(-1)
+        change = normal.depth_gradient + (normal.cross * own_step[:, None]).sum(dim=-1)
+        rho = (rho - change / normal.depth).clamp(FARTHEST, NEAREST)
+        motion, moved = move(motion, step[:, :6]), moved + step
+    return Adjusted(motion, (sides.prior / rho).log(), normal.depth)
+
+
+def rescale(sides: Sides, log_scale: Float[Tensor, " pairs"]) -> Sides:
+    """Decoded depths of the second half, scaled; relative errors stay what they were."""
+    shrink = torch.cat((log_scale * 0, -log_scale)).exp()[:, None]
+    return sides._replace(prior=sides.prior * shrink, stiffness=sides.stiffness / shrink.square())
+
+
+def with_scale(normal: Normal, sides: Sides, rho: Tensor) -> Normal:
+    """Append the log scale, which moves the priors only, to each side's parameters."""
+    pull = sides.stiffness * sides.prior
+    corner = F.pad((pull * sides.prior).sum(dim=-1)[:, None, None], (6, 0, 6, 0))
+    slope = (pull * (rho - sides.prior)).sum(dim=-1, keepdim=True)
+    return normal._replace(
+        pose=F.pad(normal.pose, (0, 1, 0, 1)) + corner,
+        pose_gradient=torch.cat((normal.pose_gradient, slope), dim=-1),
+        cross=torch.cat((normal.cross, pull[..., None]), dim=-1),
+    )
+
+
+def scaled_twists(both: BothWays) -> Float[Tensor, "2*pairs 7 7"]:
+    """`bundle.twists`, and the scale: the second half's own, none of the first half's."""
+    none = both.translation[: both.translation.shape[0] // 2, :1, None] * 0
+    scale = F.pad(torch.cat((none, none + 1)), (6, 0, 6, 0))
+    return F.pad(twists(both), (0, 1, 0, 1)) + scale
+
+
+def reduce_scaled(
+    normal: Normal, twist: Float[Tensor, "2*pairs 7 7"], moved: Float[Tensor, "pairs 7"]
+) -> tuple[Tensor, Tensor]:
+    """Each pair's seven-by-seven system, the depths of both its sides eliminated."""
+    share = normal.cross / normal.depth[..., None]
+    matrix = normal.pose - share.transpose(-1, -2) @ normal.cross
+    gradient = normal.pose_gradient - (share * normal.depth_gradient[..., None]).sum(dim=1)
+    turned = twist.transpose(-1, -2)
+    matrix, gradient = turned @ matrix @ twist, (turned @ gradient[..., None]).squeeze(-1)
+    pairs = moved.shape[0]
+    matrix, gradient = matrix[:pairs] + matrix[pairs:], gradient[:pairs] + gradient[pairs:]
+    eye = torch.eye(7, device=matrix.device)
+    # What rounding leaves below zero on the diagonal must not undo the damping.
+    damping = DAMPING * (matrix * eye).clamp_min(0) + GUESS_ERROR**-2 * eye
+    return matrix + damping, gradient + GUESS_ERROR**-2 * moved
+
+
+def fuse(adjusted: Adjusted, sides: Sides, pairs: tuple[int, int]) -> Float[Tensor, "batch cells"]:
+    """Change of the first view's log depth that all other views together ask for.
+
+    Every pair has held the cell to the same prior, which must count once.
+
+    Args:
+        adjusted: of all pairs.
+        sides: as they were decoded.
+        pairs: number of scenes, and of other views in each.
+    """
+    all_sides = (adjusted.change, adjusted.precision, sides.stiffness)
+    first = (t[: pairs[0] * pairs[1]].unflatten(0, pairs) for t in all_sides)
+    change, precision, stiffness = first
+    matched = (precision - stiffness).sum(dim=1)
+    return (change * precision).sum(dim=1) / (matched + stiffness[:, 0])
