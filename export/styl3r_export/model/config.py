@@ -47,6 +47,9 @@ class ModelConfig:
     # "free": the point head gives points in the first view's frame (published).
     # "rays": it gives depth along each pixel's ray, and the intrinsics token gives the camera.
     points: Literal["free", "rays"] = "free"
+    # After decoding, matches adjust the cameras alone ("cameras"), or a scale for each view and the
+    # depths as well, so that the views' points meet ("depths").
+    refinement: Literal["cameras", "depths"] = "cameras"
     # Colours: "sh": the head's output is the SH DC coefficient (published). "affine": the photos
     # in the style's palette, and a 3x4 matrix a pixel from the head that is applied to them, so
     # that fine detail need not be redrawn.
@@ -95,6 +98,7 @@ MINI = ModelConfig(
     stem="pyramid",
     matching=True,
     points="rays",
+    refinement="depths",
     colours="affine",
     photo_as_style="unit",
 )

@@ -162,11 +162,21 @@ def describe(
     return torch.cat((own, sides.matched * weight, shift, scalars), dim=-1)
 
 
+def cell_centres(t: Float[Tensor, "batch views H W"]) -> Float[Tensor, "batch views cells"]:
+    """Values at the cells' centres.
+
+    Depth changes less within a cell than it differs between a cell's centre and its mean, so the
+    four pixels at the centre stand for it.
+    """
+    return F.avg_pool2d(t[..., 3:-3, 3:-3], 2, 8).flatten(2)
+
+
 def settle(
-    pairs: Pairs, guess: Motion, depth: Float[Tensor, "batch views cells"], log_error: Tensor
+    pairs: Pairs, guess: Motion, depth: Float[Tensor, "batch views H W"], log_error: Tensor
 ) -> Motion:
     """The motion once more, now with decoded depths and their expected relative errors."""
     others = depth.shape[1] - 1
+    depth, log_error = (cell_centres(t) for t in (depth, log_error))
     stiffness = (depth * (-log_error).exp()).square()
 
     def sides_of(t: Tensor) -> Tensor:

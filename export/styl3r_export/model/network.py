@@ -7,7 +7,6 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from styl3r_export.model.adapter import (
     CameraHead,
@@ -26,6 +25,7 @@ from styl3r_export.model.config import CONFIGS, PATCH, ModelConfig
 from styl3r_export.model.dpt import STRUCTURE_CHANNELS, GaussianTrunk, Head, PointTrunk
 from styl3r_export.model.matching import Matches, StarMatching, settle
 from styl3r_export.model.palette import transfer_palette
+from styl3r_export.model.refinement import refine
 from styl3r_export.model.rotations import full_precision
 from styl3r_export.model.stem import Pyramid, PyramidStem
 from styl3r_export.model.stylizer import TokenStylizer
@@ -217,10 +217,10 @@ class Styl3r(nn.Module):
         raw = raw.unflatten(0, images.shape[:2])
         depth, log_error = log_depth(raw[:, :, 0]).exp(), log_error_of(raw[:, :, 1])
         guess = self.camera_head(camera, pairs.motion)
-        # Depth changes less within a cell than it differs between a cell's centre and its mean,
-        # so the four pixels at the centre stand for it.
-        cells = (F.avg_pool2d(t[..., 3:-3, 3:-3], 2, 8).flatten(2) for t in (depth, log_error))
-        motion = settle(pairs, guess, *cells)
+        if self.config.refinement == "depths":
+            motion, depth = refine(guess, depth, log_error, matches, intrinsics)
+        else:
+            motion = settle(pairs, guess, depth, log_error)
         batch = images.shape[0]
         return RayDecoding(
             depth, log_error, pose_of_motion(motion, batch), pose_of_motion(guess, batch),

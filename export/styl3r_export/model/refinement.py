@@ -27,7 +27,14 @@ from styl3r_export.model.bundle import (
     solve,
     twists,
 )
-from styl3r_export.model.matching import SHARP, TINY, Expected, Matches, cell_rays
+from styl3r_export.model.matching import (
+    SHARP,
+    TINY,
+    Expected,
+    Matches,
+    cell_centres,
+    cell_rays,
+)
 from styl3r_export.model.rotations import Motion, full_precision
 
 # Pixels a side of one cell.
@@ -97,9 +104,7 @@ def known_sides(matches: Matches, depth: Tensor, log_error: Tensor, intrinsics: 
     joint = matches.forward + matches.backward
     here = expect_near_peak(joint, rays[:, :1], rays[:, 1:], grid)
     there = expect_near_peak(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1], grid)
-    # Depth changes less within a cell than it differs between a cell's centre and its mean,
-    # so the four pixels at the centre stand for it.
-    z, error = (F.avg_pool2d(t[..., 3:-3, 3:-3], 2, CELL).flatten(2) for t in (depth, log_error))
+    z, error = cell_centres(depth), cell_centres(log_error)
     rho = (1 / z).clamp(FARTHEST, NEAREST)
     stiffness = (error.exp() * MODESTY * rho).square().reciprocal()
 
