@@ -98,6 +98,7 @@ def simplify(model: ir.Model, parameters: set[str]) -> None:
     passes.RemoveUnusedFunctionsPass()(model)
     passes.RemoveUnusedOpsetsPass()(model)
     passes.IdentityEliminationPass()(model)
+    passes.RemoveUnusedNodesPass()(model)
     passes.ClearMetadataAndDocStringPass()(model)
     passes.NameFixPass()(model)
 

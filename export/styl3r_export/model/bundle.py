@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from styl3r_export.model.loops import Carry, repeat
 from styl3r_export.model.rotations import Motion, multiply_quaternions, rotation_matrix
 
 # Relative Levenberg damping.
@@ -77,9 +78,10 @@ def adjust(
     Returns:
         The motions, and the inverse depths of both sides' cells.
     """
-    motion, rho = guess, sides.prior
-    moved = torch.cat((guess.translation, guess.translation), dim=-1) * 0
-    for outlier in outliers:
+
+    def iteration(carry: Carry, outlier: float | Tensor) -> Carry:
+        rotation, translation, rho, moved = carry
+        motion = Motion(rotation, translation)
         both = both_ways(motion)
         normal = normal_equations(both, sides, rho, outlier)
         twist = twists(both)
@@ -88,8 +90,11 @@ def adjust(
         own_step = (twist @ torch.cat((step, step))[..., None]).squeeze(-1)
         change = normal.depth_gradient + (normal.cross * own_step[:, None]).sum(dim=-1)
         rho = (rho - change / normal.depth).clamp(FARTHEST, NEAREST)
-        motion, moved = move(motion, step), moved + step
-    return motion, rho
+        return *move(motion, step), rho, moved + step
+
+    still = torch.cat((guess.translation, guess.translation), dim=-1) * 0
+    rotation, translation, rho, _ = repeat(iteration, (*guess, sides.prior, still), outliers)
+    return Motion(rotation, translation), rho
 
 
 class BothWays(NamedTuple):
@@ -158,7 +163,7 @@ def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
 
 
-def normal_equations(both: BothWays, sides: Sides, rho: Tensor, outlier: float) -> Normal:
+def normal_equations(both: BothWays, sides: Sides, rho: Tensor, outlier: float | Tensor) -> Normal:
     """Weighted squares of reprojection errors and of departures from the depth prior."""
     turned, y = project(both, sides, rho)
     z = y[..., 2:].clamp_min(FRONT)
