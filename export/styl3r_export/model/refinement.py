@@ -27,6 +27,7 @@ from styl3r_export.model.bundle import (
     solve,
     twists,
 )
+from styl3r_export.model.loops import Carry, repeat
 from styl3r_export.model.matching import (
     SHARP,
     TINY,
@@ -123,13 +124,17 @@ def expect_near_peak(
     grid: tuple[int, int],
 ) -> Expected:
     """`matching.expect` over the cells around each most probable match only."""
-    rows, columns = grid
     peak = log_joint.argmax(dim=-1, keepdim=True)
+    # Counted rather than given: in a traced graph the grid's size is not known, and integer
+    # operators want it as a tensor.
+    rows, columns = (torch.ones(n, dtype=peak.dtype, device=peak.device).sum() for n in grid)
     away = torch.arange(-REACH, REACH + 1, device=peak.device)
-    row = peak // columns + away.repeat_interleave(len(away))
-    column = peak % columns + away.repeat(len(away))
+    top = torch.div(peak, columns, rounding_mode="floor")
+    row = top + away.repeat_interleave(2 * REACH + 1)
+    column = peak - top * columns + away.repeat(2 * REACH + 1)
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    index = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+    row, column = row.clamp_min(0).minimum(rows - 1), column.clamp_min(0).minimum(columns - 1)
+    index = row * columns + column
     joint = log_joint.gather(-1, index).exp() * inside
     confidence = joint.sum(dim=-1)
     weight = (joint / (confidence[..., None] + TINY))[..., None]
@@ -159,9 +164,10 @@ def adjust_scaled(guess: Motion, sides: Sides, outliers: Sequence[float]) -> Adj
     view follow the matches where single depths, each held to its prior, would not. Solved for
     together with the pose: in turns, they would hold each other back.
     """
-    motion, rho = guess, sides.prior
-    moved = F.pad(guess.translation * 0, (0, 4))
-    for outlier in outliers:
+
+    def iteration(carry: Carry, outlier: float | Tensor) -> Carry:
+        rotation, translation, rho, moved, _ = carry
+        motion = Motion(rotation, translation)
         both = both_ways(motion)
         held = rescale(sides, moved[:, 6])
         normal = with_scale(normal_equations(both, held, rho, outlier), held, rho)
@@ -173,8 +179,12 @@ def adjust_scaled(guess: Motion, sides: Sides, outliers: Sequence[float]) -> Adj
         own_step = (twist @ torch.cat((step, step))[..., None]).squeeze(-1)
         change = normal.depth_gradient + (normal.cross * own_step[:, None]).sum(dim=-1)
         rho = (rho - change / normal.depth).clamp(FARTHEST, NEAREST)
-        motion, moved = move(motion, step[:, :6]), moved + step
-    return Adjusted(motion, (sides.prior / rho).log(), normal.depth)
+        return *move(motion, step[:, :6]), rho, moved + step, normal.depth
+
+    still, no_precision = F.pad(guess.translation * 0, (0, 4)), sides.prior * 0
+    start = (*guess, sides.prior, still, no_precision)
+    rotation, translation, rho, _, precision = repeat(iteration, start, outliers)
+    return Adjusted(Motion(rotation, translation), (sides.prior / rho).log(), precision)
 
 
 def rescale(sides: Sides, log_scale: Float[Tensor, " pairs"]) -> Sides:
