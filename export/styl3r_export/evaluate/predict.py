@@ -22,6 +22,7 @@ from styl3r_cli.sessions import Graph
 from styl3r_export.checkpoints import load_any
 from styl3r_export.evaluate.groups import Group
 from styl3r_export.evaluate.scenes import TrueView
+from styl3r_export.graphs_metadata import PAINTING_RANGE, PHOTO_AS_STYLE_RANGES
 from styl3r_export.model import Styl3r
 
 Intrinsics = Literal["true", "assumed"]
@@ -72,8 +73,8 @@ def load_stylizer(path: Path, threads: int) -> Stylizer:
         folder=path,
         structure=cast(Graph, TorchGraph(network, "structure")),
         appearance=cast(Graph, TorchGraph(network, "appearance")),
-        style_range=(0.0, 1.0),
-        content_range=(-1.0, 1.0),
+        style_range=PAINTING_RANGE,
+        content_range=PHOTO_AS_STYLE_RANGES[network.config.photo_as_style],
         input_size=(256, 256),
         device="cpu",
     )
