@@ -29,7 +29,7 @@ APPEARANCE_OPTIONAL = {"images": 4}  # fed to the models whose colour head decla
 APPEARANCE_OUTPUTS = {"colours": 4}
 
 # Optimising a structure graph pays within its first run where the arithmetic takes long, and not
-# in a small one: for mini and two views it costs 0.5 s of processor time and saves 0.1 s.
+# in a small one: for mini and two views it costs 0.4 s of processor time and saves 0.1 s.
 SMALL_GRAPH = 64_000_000  # bytes
 
 
