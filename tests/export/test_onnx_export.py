@@ -85,6 +85,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # ---------------------------------------------------------------------- the contract
 
 
+@pytest.mark.slow
 def test_names_types_and_dynamic_axes_follow_the_contract(halved: Path) -> None:
     structure, appearance = (
         open_session(halved / name) for name in (manifests.STRUCTURE, manifests.APPEARANCE)
@@ -113,6 +114,7 @@ def test_names_types_and_dynamic_axes_follow_the_contract(halved: Path) -> None:
     assert {edge.type for edge in edges} == {"tensor(float)"}
 
 
+@pytest.mark.slow
 def test_graphs_are_plain_onnx(halved: Path) -> None:
     """No runtime's private operators: any runtime may run them."""
     for name in (manifests.STRUCTURE, manifests.APPEARANCE):
@@ -122,6 +124,7 @@ def test_graphs_are_plain_onnx(halved: Path) -> None:
         assert {n.domain for n in model.graph.node} <= {""}
 
 
+@pytest.mark.slow
 def test_each_graph_says_what_it_is(halved: Path) -> None:
     manifest = manifests.read_manifest(halved)
     for name in (manifests.STRUCTURE, manifests.APPEARANCE):
@@ -140,6 +143,7 @@ def test_each_graph_says_what_it_is(halved: Path) -> None:
         assert json.loads(props[manifests.PROP_TOOLS])["torch"] == torch.__version__
 
 
+@pytest.mark.slow
 def test_paths_of_the_machine_that_exported_stay_there(halved: Path) -> None:
     here = str(Path(__file__).parents[2]).encode()
     assert not any(here in path.read_bytes() for path in halved.iterdir())
@@ -148,12 +152,14 @@ def test_paths_of_the_machine_that_exported_stay_there(halved: Path) -> None:
 # ---------------------------------------------------------------------- numbers
 
 
+@pytest.mark.slow
 def test_unseen_sizes_agree_with_torch(plain: Path) -> None:
     rows = compare(plain, expected(small_model(), UNSEEN), UNSEEN)
     assert len(rows) == 6 * len(UNSEEN)
     assert max(row.worst for row in rows) < 2e-5
 
 
+@pytest.mark.slow
 def test_weights_above_the_limit_lie_in_a_file_of_their_own(plain: Path) -> None:
     manifest = manifests.read_manifest(plain)
     for name in (manifests.STRUCTURE, manifests.APPEARANCE):
@@ -162,6 +168,7 @@ def test_weights_above_the_limit_lie_in_a_file_of_their_own(plain: Path) -> None
     assert set(manifest.files) | {manifests.MANIFEST} == {p.name for p in plain.iterdir()}
 
 
+@pytest.mark.slow
 def test_graphs_become_the_model_again(plain: Path) -> None:
     """Under the parameters' names, also where many of them are equal, as in a new network."""
     again, provenance = load_graphs(plain)
@@ -173,6 +180,7 @@ def test_graphs_become_the_model_again(plain: Path) -> None:
         assert torch.equal(theirs[name], value if is_needed(name) else torch.zeros_like(value))
 
 
+@pytest.mark.slow
 def test_half_precision_graphs_become_the_rounded_model(halved: Path) -> None:
     model = small_model()
     round_weights(model)
@@ -182,6 +190,7 @@ def test_half_precision_graphs_become_the_rounded_model(halved: Path) -> None:
             assert torch.equal(again.state_dict()[name], value), name
 
 
+@pytest.mark.slow
 def test_only_large_weights_are_stored_in_half(halved: Path) -> None:
     parameters = {n for n, _ in small_model().named_parameters()}
     kinds = {True: 0, False: 0}
@@ -261,6 +270,7 @@ def test_the_table_has_a_line_for_each_output_and_case() -> None:
     assert len(worst) == 2
 
 
+@pytest.mark.slow
 def test_a_graph_that_differs_is_not_published(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, halved: Path
 ) -> None:
@@ -297,6 +307,7 @@ def test_an_interrupted_export_leaves_nothing_and_keeps_the_earlier_one(
     assert (folder / manifests.MANIFEST).read_text() == "earlier"
 
 
+@pytest.mark.slow
 def test_an_earlier_export_is_replaced_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, halved: Path
 ) -> None:
@@ -329,6 +340,7 @@ def test_folders_in_use_are_refused(tmp_path: Path) -> None:
     check_target(tmp_path / "empty")
 
 
+@pytest.mark.slow
 def test_graphs_that_were_exchanged_are_refused(halved: Path, tmp_path: Path) -> None:
     for path in halved.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
@@ -350,6 +362,7 @@ def test_a_broken_training_is_noticed() -> None:
 # ---------------------------------------------------------------------- the command
 
 
+@pytest.mark.slow
 def test_the_command_exports_a_training_checkpoint(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
