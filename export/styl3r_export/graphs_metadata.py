@@ -23,8 +23,8 @@ PHOTO_AS_STYLE_RANGES = {"signed": (-1.0, 1.0), "unit": (0.0, 1.0)}
 TRAINED_SIZE = (16 * PATCH, 16 * PATCH)
 
 OWN_LICENCE = "Apache-2.0"
-# The published weights were trained from MASt3R's, whose licence they inherit.
-PUBLISHED_LICENCE = "CC-BY-NC-SA-4.0 (published Styl3R weights, initialised from MASt3R)"
+# The published weights were trained from MASt3R's, whose terms they inherit.
+PUBLISHED_LICENCE = "see huggingface.co/WangPng/Styl3R; trained from MASt3R (CC-BY-NC-SA-4.0)"
 
 
 @dataclass(frozen=True)
