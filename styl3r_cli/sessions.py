@@ -25,6 +25,9 @@ SILENT = 4  # onnxruntime's severity "fatal": its other complaints are raised as
 # After each run the memory that it used goes back, or the two graphs' peaks would add up: 325
 # instead of 433 MB for two views (mini), at no measurable cost in time.
 SHRINK = ("memory.enable_memory_arena_shrinkage", "cpu:0")
+# Threads that wait for work sleep instead of spinning: beside other programs mini's structure graph
+# takes 0.4 s instead of 0.6, and the processor time of a run falls by a quarter.
+NO_SPINNING = ("session.intra_op.allow_spinning", "0")
 
 _finding_cuda = Lock()
 
@@ -67,6 +70,7 @@ class Graph:
         options.log_severity_level = SILENT
         options.intra_op_num_threads = threads or available_cores()
         options.inter_op_num_threads = 1
+        options.add_session_config_entry(*NO_SPINNING)
         if not optimise:
             options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         try:
