@@ -63,7 +63,7 @@ def plane_group(side: int) -> Group:
         views.append(
             TrueView(f"{index}.png", pixels, camera, seen, uv[seen], local[seen, 2], (side, side))
         )
-    return Group(TrueScene("plane", views), (0, 2), 1)
+    return Group(TrueScene("plane", views), (0, 2), (1,))
 
 
 def perfect_prediction(group: Group, world: Similarity) -> tuple[Prediction, Gaussians]:

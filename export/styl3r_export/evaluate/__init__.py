@@ -1,1 +1,1 @@
-"""How good a model is on real photos, beside baselines: `python -m styl3r_export.evaluate`."""
+"""How good a model is, beside baselines: `python -m styl3r_export.evaluate`."""

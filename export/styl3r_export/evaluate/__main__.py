@@ -1,4 +1,4 @@
-"""Command line: `python -m styl3r_export.evaluate MODEL --scenes FOLDER`."""
+"""Command line: `python -m styl3r_export.evaluate MODEL --scenes FOLDER`, or other sources."""
 
 from __future__ import annotations
 
@@ -13,23 +13,30 @@ import click
 from styl3r_cli.errors import Styl3rError
 from styl3r_cli.files import atomic_write
 from styl3r_export.evaluate import table
-from styl3r_export.evaluate.measure import ROWS, Settings, measure
+from styl3r_export.evaluate.measure import measure
 from styl3r_export.evaluate.records import Record, summarise
+from styl3r_export.evaluate.settings import ROWS, Settings
 
 # Scenes whose licences allow shipped weights to be trained on them.
 TRAINING_SCENES = ("box_shelf", "church_door", "office_desk")
 
+FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
-@click.command(help="Measure a model on real photos, beside baselines.")
+@click.command(help="Measure a model on scenes with known cameras, beside baselines.")
 @click.argument("model", type=click.Path(path_type=Path))
-@click.option("--scenes", type=FOLDER, required=True, help="Folder of scene folders.")
+@click.option("--scenes", type=FOLDER, help="Folder of scene folders (real photos).")
+@click.option("--shards", type=FOLDER, help="Folder of generated scenes that training never saw.")
+@click.option("--re10k", type=FOLDER, help="Folder of RE10K chunks (.torch).")
+@click.option("--index", type=FILE, help="Their evaluation index (JSON).")
+@click.option("--colmap", type=FOLDER, help="COLMAP scene, or folder of such (Tanks and Temples).")
 @click.option("--teachers", type=FOLDER, help="Folder of networks to measure with (LPIPS, ...).")
 @click.option("--styles", type=FOLDER, help="Folder of paintings; every tenth is used.")
 @click.option("--only", multiple=True, help="Name of a scene; may be repeated. Default: all.")
+@click.option("--most", type=click.IntRange(min=1), help="Scenes of each folder, at most.")
 @click.option("--rows", help=f"What to measure: {','.join(ROWS)}. Default: all that can be.")
-@click.option("--views", default="2,4", show_default=True, help="Photos given at once.")
+@click.option("--views", default="2,4,8", show_default=True, help="Photos given at once.")
 @click.option("--per-scene", default=4, show_default=True, help="Groups of photos a scene.")
 @click.option(
     "--styled-per-scene", default=1, show_default=True,

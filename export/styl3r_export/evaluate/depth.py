@@ -1,4 +1,4 @@
-"""Depth at the points that structure from motion knows, beside depths that know no picture."""
+"""Depth where it is known, beside depths that know no picture."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def depth_values(group: Group, means: NDArray[np.float32], cameras: Sequence[Cam
     can do.
 
     Args:
-        group: the views and their true points.
+        group: the views; something must be known in each.
         means: (N, H, W, 3) predicted point maps.
         cameras: the N predicted cameras, in the point maps' frame.
     """
-    truth = [view.depth for view in group.views]
+    truth = [view.truth[1] for view in group.views]
     methods: dict[str, Depths] = {
         MODEL: predicted_depths(group, means, cameras),
         "constant": [np.ones_like(depth) for depth in truth],
-        "plane (oracle)": [fit_plane(view.uv, view.depth) for view in group.views],
+        "plane (oracle)": [fit_plane(*view.truth) for view in group.views],
     }
     values: Values = {}
     for method, guess in methods.items():
@@ -58,15 +58,16 @@ def depth_values(group: Group, means: NDArray[np.float32], cameras: Sequence[Cam
 def predicted_depths(
     group: Group, means: NDArray[np.float32], cameras: Sequence[Camera]
 ) -> list[NDArray[np.float64]]:
-    """Each view's predicted depth at its true points: view z of the Gaussian of that pixel.
+    """Each view's predicted depth where the true one is known: view z of that pixel's Gaussian.
 
     What is not finite or behind the camera counts as 0.
     """
     depths = []
     for view, points, camera in zip(group.views, means, cameras, strict=True):
         height, width = points.shape[:2]
-        column = (view.uv[:, 0] * width / view.camera.width).astype(int)
-        row = (view.uv[:, 1] * height / view.camera.height).astype(int)
+        uv, _ = view.truth
+        column = (uv[:, 0] * width / view.camera.width).astype(int)
+        row = (uv[:, 1] * height / view.camera.height).astype(int)
         at = points[row, column].astype(np.float64)
         with np.errstate(invalid="ignore"):
             z = at @ camera.extrinsics[2, :3] + camera.extrinsics[2, 3]

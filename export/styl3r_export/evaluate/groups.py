@@ -24,17 +24,17 @@ LONGEST_STEP = 3  # photos from one input to the next
 
 @dataclass(frozen=True)
 class Group:
-    """Photos of one scene given together, and one between them to be drawn.
+    """Photos of one scene given together, and others to be drawn.
 
     Attributes:
         scene: where they are from.
-        inputs: indices of the scene's photos, ascending.
-        target: index of a photo between them; None where there is no suitable one.
+        inputs: indices of the scene's photos.
+        targets: indices of photos between them; none where there is no suitable one.
     """
 
     scene: TrueScene
     inputs: tuple[int, ...]
-    target: int | None
+    targets: tuple[int, ...] = ()
 
     @property
     def views(self) -> list[TrueView]:
@@ -59,7 +59,10 @@ def choose_groups(scene: TrueScene, views: int, most: int) -> list[Group]:
         given = [scene.views[index] for index in inputs]
         if all(_overlap(a, b) for a, b in pairwise(given)):
             target = _target(scene, inputs)
-            (adjacent if target is None else gapped).append(Group(scene, inputs, target))
+            if target is None:
+                adjacent.append(Group(scene, inputs))
+            else:
+                gapped.append(Group(scene, inputs, (target,)))
     without = min(len(adjacent), max(most // 2, most - len(gapped)))
     chosen = pick(gapped, most - without) + pick(adjacent, without)
     return sorted(chosen, key=lambda group: group.inputs)

@@ -35,38 +35,42 @@ def novel_view_values(
     threads: int,
     pose_steps: int = 0,
 ) -> Values:
-    """PSNR, SSIM and LPIPS of the group's target; nothing for a group without one.
+    """PSNR, SSIM and LPIPS of each of the group's targets; nothing for a group without one.
 
-    The target's camera is the true one, brought to the model's world by the inputs' cameras
+    A target's camera is the true one, brought to the model's world by the inputs' cameras
     alone. With `pose_steps`, `model, pose adjusted` also fits that camera to the target's picture,
     as the published evaluation does.
 
     Baselines: `nearest photo` is the input whose camera is closest; `homography (oracle)` warps
     it by the homography between the points that it and the target are known to share, which takes
-    the target's own picture to know.
+    the target's own picture to know (left out where no points are known).
     """
-    if group.target is None:
-        return {}
-    target = group.scene.views[group.target]
-    camera = target_camera(group, prediction, target, intrinsics)
-    nearest = nearest_view(group, target)
-    pictures: dict[str, Picture] = {
-        MODEL: render(gaussians, camera, threads=threads).colour,
-        "nearest photo": nearest.pixels / np.float32(255),
-        "homography (oracle)": warp(nearest, target) / np.float32(255),
-    }
-    truth, values = target.pixels / np.float32(255), Values()
-    if pose_steps:
-        eyes = [centre(prediction.recovered.cameras[k].extrinsics) for k in (0, -1)]
-        unit = float(np.linalg.norm(eyes[1] - eyes[0]))
-        fitted = adjust_pose(gaussians, camera, truth, unit, pose_steps, threads)
-        pictures["model, pose adjusted"] = render(gaussians, fitted, threads=threads).colour
-    for method, picture in pictures.items():
-        values["novel view", "PSNR (dB)", method] = [psnr(picture, truth)]
-        values["novel view", "SSIM", method] = [ssim(picture, truth)]
-        if lpips is not None:
-            values["novel view", "LPIPS", method] = [lpips(picture, truth)]
+    values: Values = {}
+    for target in (group.scene.views[index] for index in group.targets):
+        camera = target_camera(group, prediction, target, intrinsics)
+        nearest = nearest_view(group, target)
+        pictures: dict[str, Picture] = {
+            MODEL: render(gaussians, camera, threads=threads).colour,
+            "nearest photo": nearest.pixels / np.float32(255),
+        }
+        if len(target.points):
+            pictures["homography (oracle)"] = warp(nearest, target) / np.float32(255)
+        truth = target.pixels / np.float32(255)
+        if pose_steps:
+            eyes = [centre(prediction.recovered.cameras[k].extrinsics) for k in (0, -1)]
+            unit = float(np.linalg.norm(eyes[1] - eyes[0]))
+            fitted = adjust_pose(gaussians, camera, truth, unit, pose_steps, threads)
+            pictures["model, pose adjusted"] = render(gaussians, fitted, threads=threads).colour
+        for method, picture in pictures.items():
+            for name, value in likeness(picture, truth, lpips).items():
+                values.setdefault(("novel view", name, method), []).append(value)
     return values
+
+
+def likeness(picture: Picture, truth: Picture, lpips: Lpips | None) -> dict[str, float]:
+    """How like two pictures are, by name of the measure."""
+    measures = {"PSNR (dB)": psnr(picture, truth), "SSIM": ssim(picture, truth)}
+    return measures if lpips is None else measures | {"LPIPS": lpips(picture, truth)}
 
 
 def target_camera(

@@ -21,26 +21,26 @@ class Record:
     """All numbers of one group of photos.
 
     Attributes:
-        kind: "validation", or "training" where training may have seen the scene.
+        kind: "validation", or "training" where training may have seen the scene; "generated",
+            "RE10K" and "COLMAP" for what comes from there.
         scene: its name.
         inputs: names of the photos given.
-        target: name of the photo to be drawn, if any.
+        targets: names of the photos to be drawn, if any.
         values: by what, measure and method.
     """
 
     kind: str
     scene: str
     inputs: list[str]
-    target: str | None
+    targets: list[str]
     values: Values
 
     @classmethod
     def of(cls, kind: str, group: Group, values: Values) -> Record:
         """The record of a group."""
         names = [view.name for view in group.scene.views]
-        target = None if group.target is None else names[group.target]
-        inputs = [names[index] for index in group.inputs]
-        return cls(kind, group.scene.name, inputs, target, values)
+        inputs, targets = ([names[k] for k in chosen] for chosen in (group.inputs, group.targets))
+        return cls(kind, group.scene.name, inputs, targets, values)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the values as a list of objects."""

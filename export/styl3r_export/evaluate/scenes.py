@@ -1,9 +1,10 @@
-"""Real scenes with cameras and sparse points by structure from motion, cropped for the network."""
+"""Scenes whose cameras are known, cropped for the network; real ones with sparse points."""
 
 from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,11 @@ from PIL import Image
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.errors import InputError
 from styl3r_cli.photos.resize import fit_photo
+
+# Where depth is known everywhere, every so many-th pixel of every so many-th row is compared.
+DENSE_STEP = 2
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -29,20 +35,35 @@ class TrueView:
         uv: (P, 2) where, in pixels of the crop.
         depth: (P,) their view z.
         photo_size: (width, height) before the crop.
+        depth_map: (S, S) view z of every pixel, nan in the sky; None where only points are known.
     """
 
     name: str
     pixels: NDArray[np.uint8]
     camera: Camera
     points: NDArray[np.int64]
-    uv: NDArray[np.float64]
-    depth: NDArray[np.float64]
+    uv: Array
+    depth: Array
     photo_size: tuple[int, int]
+    depth_map: Array | None = None
 
     @property
     def image(self) -> NDArray[np.float32]:
         """(3, S, S) sRGB in [0, 1]."""
         return np.ascontiguousarray(self.pixels.transpose(2, 0, 1), np.float32) / np.float32(255)
+
+    @property
+    def truth(self) -> tuple[Array, Array]:
+        """Where depth is known, (P, 2) pixels of the crop, and the depths (P,).
+
+        Of all pixels (on a grid) where there is a depth map, else of the points.
+        """
+        if self.depth_map is None:
+            return self.uv, self.depth
+        grid = self.depth_map[::DENSE_STEP, ::DENSE_STEP]
+        rows, columns = np.nonzero(np.isfinite(grid))
+        uv = np.column_stack([columns, rows]).astype(np.float64) * DENSE_STEP + 0.5
+        return uv, grid[rows, columns]
 
 
 @dataclass(frozen=True)
@@ -94,20 +115,45 @@ def _load_view(
 ) -> TrueView:
     with Image.open(path) as file:
         photo = file.convert("RGB")
-    camera, zoom, corner = crop_camera(fact, photo.size, size)
     seen = points["obs_image"] == index
     ids = points["obs_point"][seen].astype(np.int64)
-    uv = points["obs_uv"][seen].astype(np.float64) * zoom - corner
-    world = points["xyz"][ids].astype(np.float64)
+    uv, world = points["obs_uv"][seen].astype(np.float64), points["xyz"][ids].astype(np.float64)
+    return cropped_view(path.name, photo, fact, size, ids, uv, world)
+
+
+def cropped_view(
+    name: str,
+    photo: Image.Image,
+    fact: Mapping[str, Any],
+    size: int,
+    ids: NDArray[np.int64] | None = None,
+    uv: Array | None = None,
+    world: Array | None = None,
+) -> TrueView:
+    """A photo and its points, cropped as the tool crops it.
+
+    Args:
+        name: of the photo.
+        photo: RGB.
+        fact: see `crop_camera`.
+        size: side of the crop.
+        ids: (P,) the points seen, if any are known.
+        uv: (P, 2) where, in pixels of the frame that `fact` speaks of.
+        world: (P, 3) where they are.
+    """
+    camera, zoom, corner = crop_camera(fact, photo.size, size)
+    pixels = fit_photo(photo, (size, size)).copy()
+    if ids is None or uv is None or world is None:
+        ids, uv, world = np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 3))
+    uv = uv * zoom - corner
     depth = world @ camera.extrinsics[2, :3] + camera.extrinsics[2, 3]
     inside = ((uv >= 0) & (uv < size)).all(axis=1) & (depth > 0)
-    pixels = fit_photo(photo, (size, size)).copy()
-    return TrueView(path.name, pixels, camera, ids[inside], uv[inside], depth[inside], photo.size)
+    return TrueView(name, pixels, camera, ids[inside], uv[inside], depth[inside], photo.size)
 
 
 def crop_camera(
-    fact: dict[str, Any], photo_size: tuple[int, int], size: int
-) -> tuple[Camera, NDArray[np.float64], NDArray[np.float64]]:
+    fact: Mapping[str, Any], photo_size: tuple[int, int], size: int
+) -> tuple[Camera, Array, Array]:
     """A photo's camera after `fit_photo`, exact to the half pixel that an odd margin shifts by.
 
     Args:

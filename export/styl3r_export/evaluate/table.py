@@ -55,13 +55,14 @@ def _section(records: Sequence[Record], kind: str, views: int) -> str:
     for what, measure in sorted(by_measure, key=lambda key: ORDER.index(key[0])):
         summaries = by_measure[what, measure]
         cells = [_cell(summary) for summary in summaries]
-        rows.append([what, _arrow(measure), str(summaries[0].count), *cells])
+        count = [str(summaries[0].count), str(summaries[0].scenes)]
+        rows.append([what, _arrow(measure), *count, *cells])
         if (what, measure) == AUC_OF:
-            count = str(summaries[0].count)
             for name, methods in areas(records, kind, views).items():
                 cells = [_named(m, f"{value:.1f}") for m, value in methods.items()]
-                rows.append([what, _arrow(name), count, *cells])
-    return f"{title}\n\n{_grid(['what', 'measure', 'n', MODEL, 'baselines'], rows)}"
+                rows.append([what, _arrow(name), *count, *cells])
+    head = ["what", "measure", "n", "scenes", MODEL, "baselines"]
+    return f"{title}\n\n{_grid(head, rows)}"
 
 
 def _cell(summary: Summary) -> str:
