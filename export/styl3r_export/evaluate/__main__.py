@@ -15,10 +15,7 @@ from styl3r_cli.files import atomic_write
 from styl3r_export.evaluate import table
 from styl3r_export.evaluate.measure import measure
 from styl3r_export.evaluate.records import Record, summarise
-from styl3r_export.evaluate.settings import ROWS, Settings
-
-# Scenes whose licences allow shipped weights to be trained on them.
-TRAINING_SCENES = ("box_shelf", "church_door", "office_desk")
+from styl3r_export.evaluate.settings import ROWS, TRAINING_SCENES, Settings
 
 FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
