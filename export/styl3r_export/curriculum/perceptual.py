@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -10,8 +11,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from styl3r_cli.errors import InputError
 from styl3r_export.curriculum.layout import channels_last
 from styl3r_export.curriculum.teachers import load_npz
+from styl3r_export.safe_pickle import read_checkpoint
 
 # Stabilises the standard deviation of constant features (published).
 STD_EPS = 1e-8
@@ -75,6 +78,11 @@ class TorchvisionVgg(nn.Module):
     std: Tensor
 
     def __init__(self, weights: Path) -> None:
+        """Read a state dict by torchvision's names (`features.N.weight`, `features.N.bias`).
+
+        Raises:
+            InputError: the file is missing, or does not hold these layers.
+        """
         super().__init__()
         layers: list[nn.Module] = []
         channels = 3
@@ -85,9 +93,7 @@ class TorchvisionVgg(nn.Module):
                 layers += [nn.Conv2d(channels, int(entry), 3, padding=1), nn.ReLU()]
                 channels = int(entry)
         self.features = nn.Sequential(*layers)
-        state = torch.load(weights, map_location="cpu", weights_only=True)
-        wanted = self.state_dict().keys()
-        self.load_state_dict({name: state[name] for name in wanted})
+        self.load_state_dict(_layers_of(weights, self.state_dict()))
         self.register_buffer("mean", torch.tensor(self.MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(self.STD).view(3, 1, 1), persistent=False)
         self.requires_grad_(False)
@@ -100,6 +106,25 @@ class TorchvisionVgg(nn.Module):
             if index in self.TAPS:
                 features.append(x)
         return features
+
+
+def _layers_of(weights: Path, wanted: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The wanted entries of a state dict in a file; it may hold more.
+
+    Raises:
+        InputError: the file is missing, or lacks one, or has it in another shape.
+    """
+    state = read_checkpoint(weights)
+    found = state if isinstance(state, Mapping) else {}
+    for name, value in wanted.items():
+        have = found.get(name)
+        shape = tuple(have.shape) if isinstance(have, Tensor) else "missing"
+        if shape != tuple(value.shape):
+            raise InputError(
+                f"{weights}: not torchvision's VGG19: {name} is {shape}, "
+                f"expected {tuple(value.shape)}; name its vgg19-*.pth file"
+            )
+    return {name: found[name].float() for name in wanted}
 
 
 def load_perceptual(weights: Path) -> nn.Module:
