@@ -20,6 +20,8 @@ COMMANDS = {
     "stylize": ("stylize", "Photos and a style picture become a stylized 3D scene."),
     "reconstruct": ("reconstruct", "Photos become a 3D scene in their own colours."),
     "render": ("render", "A scene becomes a video or a folder of frames."),
+    "convert": ("convert", "A scene from one file format into another."),
+    "info": ("info", "What is in a scene file."),
     "export": ("export", "A checkpoint becomes a model folder (needs the extra 'export')."),
 }
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback

@@ -15,39 +15,78 @@ from styl3r_cli.files import atomic_write
 from styl3r_cli.formats.scene import Encoded, Scene
 from styl3r_cli.gaussians import Gaussians
 
-__all__ = ["Encoded", "Scene", "encode_scene", "read_scene", "scene_suffix", "write_scene"]
+__all__ = [
+    "MODULES",
+    "Encoded",
+    "Scene",
+    "encode_scene",
+    "read_scene",
+    "recognise",
+    "scene_suffix",
+    "write_scene",
+]
 
-MODULES = {".ply": "styl3r_cli.formats.ply"}
-MAGIC = {b"ply": ".ply"}  # how a scene that comes through a pipe is recognised
+MODULES = {
+    ".ply": "styl3r_cli.formats.ply",
+    ".compressed.ply": "styl3r_cli.formats.compressed_ply",
+    ".splat": "styl3r_cli.formats.splat",
+    ".spz": "styl3r_cli.formats.spz",
+    ".sog": "styl3r_cli.formats.sog",
+    ".glb": "styl3r_cli.formats.glb",
+    ".points.glb": "styl3r_cli.formats.points_glb",
+}
+# How a scene that comes through a pipe is recognised. A .splat has no such mark.
+MAGIC = {
+    b"ply": ".ply",
+    b"\x1f\x8b": ".spz",
+    b"NGSP": ".spz",
+    b"PK\x03\x04": ".sog",
+    b"glTF": ".glb",
+}
 
 
 def scene_suffix(path: Path) -> str:
-    """The path's suffix in lower case, if a format has it: to fail before the work, not after.
+    """The longest of the known suffixes that the path ends in, in lower case.
+
+    Checked before the work, to fail early.
 
     Raises:
         UsageError: no format has this suffix.
     """
-    suffix = path.suffix.lower()
-    if suffix not in MODULES:
+    name = path.name.lower()
+    fitting = [suffix for suffix in MODULES if name.endswith(suffix) and name != suffix]
+    if not fitting:
         raise UsageError(
             f"{path}: unknown scene format '{path.suffix}'; use one of {', '.join(MODULES)}"
         )
-    return suffix
+    return max(fitting, key=len)
 
 
-def read_scene(source: Path | bytes) -> Scene:
+def recognise(data: bytes) -> str | None:
+    """The suffix of the format that bytes are of, as far as they show it."""
+    for magic, suffix in MAGIC.items():
+        if data.startswith(magic):
+            return suffix
+    return ".splat" if _module(".splat").recognised(data) else None
+
+
+def read_scene(source: Path | bytes, suffix: str | None = None) -> Scene:
     """Read a scene from a file or from the bytes of one.
+
+    Args:
+        source: a path, whose suffix says its format, or the bytes of a file of any format.
+        suffix: the format, where it is known better.
 
     Raises:
         InputError: the file is missing or broken, or the bytes are of no known format.
         UsageError: no format has the file's suffix.
     """
     if isinstance(source, bytes):
-        for magic, suffix in MAGIC.items():
-            if source.startswith(magic):
-                return _module(suffix).decode(source, "-")
-        raise InputError(f"-: not a scene in a known format ({', '.join(MODULES)})")
-    suffix = scene_suffix(source)
+        suffix = suffix or recognise(source)
+        if suffix is None:
+            raise InputError(f"-: not a scene in a known format ({', '.join(MODULES)})")
+        return _module(suffix).decode(source, "-")
+    suffix = suffix or scene_suffix(source)
     try:
         data = source.read_bytes()
     except OSError as error:
@@ -63,7 +102,10 @@ def encode_scene(
 
 
 def write_scene(
-    path: Path, gaussians: Gaussians, metadata: dict[str, str] | None = None
+    path: Path,
+    gaussians: Gaussians,
+    metadata: dict[str, str] | None = None,
+    suffix: str | None = None,
 ) -> Encoded:
     """Write a scene; the suffix chooses the format, and the file appears whole or not at all.
 
@@ -71,6 +113,7 @@ def write_scene(
         path: where to write.
         gaussians: the scene.
         metadata: text that goes along, where the format has a place for it.
+        suffix: the format, where the path does not say it.
 
     Returns:
         What was written: its bytes, the number of Gaussians, and notes on repairs.
@@ -79,7 +122,7 @@ def write_scene(
         OutputError: the file cannot be written.
         UsageError: no format has the file's suffix.
     """
-    encoded = encode_scene(gaussians, metadata, scene_suffix(path))
+    encoded = encode_scene(gaussians, metadata, suffix or scene_suffix(path))
     with atomic_write(path) as temporary:
         temporary.write_bytes(encoded.data)
     return encoded

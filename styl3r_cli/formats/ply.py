@@ -9,8 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.errors import InputError
-from styl3r_cli.formats.ply_container import Table, read_vertices
+from styl3r_cli.formats.ply_container import Table, read_element
 from styl3r_cli.formats.scene import Encoded, Scene
+from styl3r_cli.formats.values import (
+    SMALLEST_SCALE,
+    finite_only,
+    from_harmonics,
+    in_float32,
+    logit,
+    sigmoid,
+    thickened,
+    to_harmonics,
+    unit,
+)
 from styl3r_cli.gaussians import Gaussians
 
 # The order of the first 3DGS implementation (Kerbl et al. 2023); some viewers rely on it.
@@ -21,14 +32,6 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 ROTATIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
 PROPERTIES = (*MEANS, *NORMALS, *COLOURS, "opacity", *SCALES, *ROTATIONS)
 REQUIRED = tuple(name for name in PROPERTIES if name not in NORMALS)
-
-SH_C0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
-# sigmoid(18) is 1 in float32 and every float32 below 1 has a smaller logit, so 1 comes back as 1;
-# 0 comes back as 1.5e-8, which no renderer draws; and no viewer meets an infinity.
-LOGIT_LIMIT = 18.0
-# Far below a pixel in any scene, far above where float32 covariances (squares) underflow.
-SMALLEST_SCALE = 1e-10
-COLOUR_LIMIT = 1e37  # so that division by SH_C0 stays in float32
 
 _COMMENT = re.compile(r"([A-Za-z0-9_.-]+): (.*)", re.DOTALL)
 
@@ -45,19 +48,19 @@ def encode(gaussians: Gaussians, metadata: dict[str, str]) -> Encoded:
         metadata: keys of letters, digits, `_`, `.` and `-`; any text as values.
     """
     notes: list[str] = []
-    kept, dropped = _finite_only(gaussians, notes)
-    columns = _stored(kept)
-    flat = int((kept.scales < SMALLEST_SCALE).any(axis=1).sum())
-    if flat:
-        notes.append(f"{flat} Gaussians were flatter than {SMALLEST_SCALE:g} and made so thick")
-    return Encoded(_header(len(kept), metadata) + columns.tobytes(), len(kept), dropped, notes)
+    kept = finite_only(gaussians, notes)
+    columns = _stored(kept.gaussians)
+    notes += thickened(kept.gaussians.scales, SMALLEST_SCALE)
+    lines = [f"element vertex {len(columns)}", *(f"property float {name}" for name in PROPERTIES)]
+    data = header(metadata, lines) + columns.tobytes()
+    return Encoded(data, len(columns), kept.dropped, notes)
 
 
 def decode(data: bytes, name: str) -> Scene:
     """Read any 3DGS PLY: ASCII or binary, either byte order, properties in any order and type.
 
     View-dependent colours (`f_rest_*`), normals and unknown properties and elements are ignored;
-    rotations need not be unit quaternions.
+    rotations need not be unit quaternions. A compressed PLY is recognised and read as such.
 
     Args:
         data: the whole file.
@@ -66,50 +69,42 @@ def decode(data: bytes, name: str) -> Scene:
     Raises:
         InputError: it is no PLY, is damaged, or holds something other than 3D Gaussians.
     """
-    table = read_vertices(data, name)
+    table = read_element(data, name)
+    if "packed_position" in table.names:
+        from styl3r_cli.formats.compressed_ply import decode_packed
+
+        return decode_packed(data, name)
     _require_gaussians(table, name)
     notes: list[str] = []
     if any(name.startswith("f_rest_") and table.column(name).any() for name in table.names):
         notes.append("view-dependent colours (f_rest) are ignored")
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped just below
-        gaussians = Gaussians(
-            means=_columns(table, MEANS).astype(np.float32),
-            scales=np.exp(_columns(table, SCALES)).astype(np.float32),
-            rotations=_unit(_columns(table, ROTATIONS)).astype(np.float32),
-            opacities=_sigmoid(table.column("opacity")).astype(np.float32),
-            colours=(0.5 + SH_C0 * _columns(table, COLOURS)).astype(np.float32),
+        gaussians = in_float32(
+            means=_columns(table, MEANS),
+            scales=np.exp(_columns(table, SCALES)),
+            rotations=unit(_columns(table, ROTATIONS)),
+            opacities=sigmoid(table.column("opacity")),
+            colours=from_harmonics(_columns(table, COLOURS)),
         )
-    kept, dropped = _finite_only(gaussians, notes)
-    return Scene(kept, _metadata(table.comments), notes, dropped)
+    kept = finite_only(gaussians, notes)
+    metadata = metadata_of(table.comments)
+    return Scene(kept.gaussians, metadata, notes, kept.dropped, kept.non_finite)
 
 
-def _stored(gaussians: Gaussians) -> NDArray[np.float32]:
-    """(G, 17) values in the file's order."""
-    colours = gaussians.colours.clip(-COLOUR_LIMIT, COLOUR_LIMIT).astype(np.float64)
-    columns = np.zeros((len(gaussians), len(PROPERTIES)), "<f4")
-    columns[:, 0:3] = gaussians.means
-    columns[:, 6:9] = (colours - 0.5) / SH_C0
-    columns[:, 9] = _logit(gaussians.opacities)
-    columns[:, 10:13] = np.log(np.maximum(gaussians.scales, SMALLEST_SCALE, dtype=np.float64))
-    columns[:, 13:17] = _unit(gaussians.rotations)
-    return columns
-
-
-def _header(count: int, metadata: dict[str, str]) -> bytes:
-    lines = ["ply", "format binary_little_endian 1.0"]
+def header(metadata: dict[str, str], lines: list[str]) -> bytes:
+    """A PLY header with metadata as comments and the lines that describe the elements."""
+    whole = ["ply", "format binary_little_endian 1.0"]
     for key, value in metadata.items():
         # JSON's escapes keep line ends and other alphabets out of an ASCII header.
         line = f"{key}: {json.dumps(value)[1:-1]}"
         if not _COMMENT.fullmatch(line):
             raise ValueError(f"not a metadata key: {key!r}")
-        lines.append(f"comment {line}")
-    lines.append(f"element vertex {count}")
-    lines += [f"property float {name}" for name in PROPERTIES]
-    lines.append("end_header\n")
-    return "\n".join(lines).encode("ascii")
+        whole.append(f"comment {line}")
+    return "\n".join([*whole, *lines, "end_header\n"]).encode("ascii")
 
 
-def _metadata(comments: list[str]) -> dict[str, str]:
+def metadata_of(comments: list[str]) -> dict[str, str]:
+    """The inverse of what `header` does to metadata; other programs' comments as they are."""
     metadata = {}
     for comment in comments:
         match = _COMMENT.fullmatch(comment)
@@ -122,46 +117,25 @@ def _metadata(comments: list[str]) -> dict[str, str]:
     return metadata
 
 
+def _stored(gaussians: Gaussians) -> NDArray[np.float32]:
+    """(G, 17) values in the file's order."""
+    columns = np.zeros((len(gaussians), len(PROPERTIES)), "<f4")
+    columns[:, 0:3] = gaussians.means
+    columns[:, 6:9] = to_harmonics(gaussians.colours)
+    columns[:, 9] = logit(gaussians.opacities)
+    columns[:, 10:13] = np.log(np.maximum(gaussians.scales, SMALLEST_SCALE, dtype=np.float64))
+    columns[:, 13:17] = unit(gaussians.rotations)
+    return columns
+
+
 def _require_gaussians(table: Table, name: str) -> None:
     missing = [wanted for wanted in REQUIRED if wanted not in table.names]
-    if not missing:
-        return
-    if "packed_position" in table.names:
-        raise InputError(f"{name}: a compressed PLY; convert it to a plain PLY first")
-    kind = "a point cloud or mesh" if set(MEANS) <= set(table.names) else "a PLY of something else"
-    raise InputError(f"{name}: {kind}, not 3D Gaussians: it has no {', '.join(missing)}")
+    if missing:
+        points = set(MEANS) <= set(table.names)
+        kind = "a point cloud or mesh" if points else "a PLY of something else"
+        lacks = ", ".join(missing)
+        raise InputError(f"{name}: {kind}, not 3D Gaussians: it has no {lacks}")
 
 
 def _columns(table: Table, names: tuple[str, ...]) -> NDArray[np.float64]:
     return np.stack([table.column(name).astype(np.float64) for name in names], axis=1)
-
-
-def _finite_only(gaussians: Gaussians, notes: list[str]) -> tuple[Gaussians, int]:
-    finite = np.isfinite(gaussians.opacities)
-    for array in (gaussians.means, gaussians.scales, gaussians.rotations, gaussians.colours):
-        finite &= np.isfinite(array).all(axis=1)
-    dropped = int(len(finite) - finite.sum())
-    if not dropped:
-        return gaussians, 0
-    notes.append(f"{dropped} of {len(finite)} Gaussians were not finite and left out")
-    return gaussians.select(finite), dropped
-
-
-def _logit(opacities: NDArray[np.float32]) -> NDArray[np.float64]:
-    opacity = opacities.astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logits = np.log(opacity) - np.log1p(-opacity)
-    logits = np.where(opacity >= 1, LOGIT_LIMIT, np.where(opacity <= 0, -LOGIT_LIMIT, logits))
-    return logits.clip(-LOGIT_LIMIT, LOGIT_LIMIT)
-
-
-def _sigmoid(logits: NDArray[np.generic]) -> NDArray[np.float64]:
-    return 1 / (1 + np.exp(-logits.astype(np.float64)))
-
-
-def _unit(rotations: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Quaternions of length 1; one of length 0 turns nothing."""
-    quaternions = rotations.astype(np.float64)
-    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    identity = np.array([1.0, 0.0, 0.0, 0.0])
-    return np.where(length > 0, quaternions / np.where(length > 0, length, 1), identity)

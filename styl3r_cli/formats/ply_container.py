@@ -1,4 +1,4 @@
-"""The PLY container: header, and the `vertex` element in any of its three encodings."""
+"""The PLY container: header, and one element's rows in any of the three encodings."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ SCALARS = {
 }
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 END = b"end_header"
+LONGEST_QUOTE = 80  # characters of a damaged file in a message
 LONGEST_HEADER = 1 << 20  # a file without an end of the header is not searched for gigabytes
 
 
@@ -45,42 +46,45 @@ class Element:
 
 @dataclass(frozen=True)
 class Table:
-    """The rows of the `vertex` element: a structured array, or one float64 column a property."""
+    """The rows of an element: a structured array, or one float64 column a property."""
 
     names: list[str]
     rows: NDArray[Any]
     comments: list[str]
 
     def column(self, name: str) -> NDArray[Any]:
-        """One property of all vertices."""
+        """One property of all rows."""
         if self.rows.dtype.names:
             return self.rows[name]
         return self.rows[:, self.names.index(name)]
 
 
-def read_vertices(data: bytes, name: str) -> Table:
-    """Find and read the `vertex` element of a PLY file.
+def read_element(data: bytes, name: str, wanted: str = "vertex") -> Table:
+    """Find and read one element of a PLY file.
 
     Args:
         data: the whole file.
         name: what to call it in messages.
+        wanted: the element.
 
     Raises:
-        InputError: it is no PLY file, or its header or its length is wrong.
+        InputError: it is no PLY file, has no such element, or its header or its length is wrong.
     """
     lines, body = _split(data, name)
     order, elements, comments = _parse_header(lines, name)
     before: list[Element] = []
     for element in elements:
-        if element.name == "vertex":
+        if element.name == wanted:
             break
         before.append(element)
     else:
-        raise InputError(f"{name}: the PLY has no 'vertex' element")
+        raise InputError(f"{name}: the PLY has no '{wanted}' element")
     if None in element.types:
-        raise InputError(f"{name}: vertices with lists, which 3D Gaussians do not have")
+        raise InputError(f"{name}: '{wanted}' has lists, which 3D Gaussians do not have")
     if len(set(element.names)) < len(element.names):
-        raise InputError(f"{name}: the PLY header names a property of 'vertex' twice")
+        raise InputError(f"{name}: the PLY header names a property of '{wanted}' twice")
+    if not element.names:
+        raise InputError(f"{name}: the PLY header names no property of '{wanted}'")
     read = _read_binary if order else _read_ascii
     return Table(element.names, read(data, body, order, before, element, name), comments)
 
@@ -125,48 +129,48 @@ def _parse_header(lines: list[str], name: str) -> tuple[str, list[Element], list
                 case _:
                     raise ValueError(line)
         except (KeyError, ValueError, IndexError) as error:
-            raise InputError(f"{name}: bad line in the PLY header: '{line.strip()}'") from error
+            what = line.strip()[:LONGEST_QUOTE]
+            raise InputError(f"{name}: bad line in the PLY header: '{what}'") from error
     if order is None:
         raise InputError(f"{name}: the PLY header does not say its format")
     return order, elements, comments
 
 
 def _read_binary(
-    data: bytes, body: int, order: str, before: list[Element], vertex: Element, name: str
+    data: bytes, body: int, order: str, before: list[Element], wanted: Element, name: str
 ) -> NDArray[Any]:
     for element in before:
         if None in element.types:
             raise InputError(f"{name}: lists before the vertices; save it with the vertices first")
-        body += element.count * _row(element, order).itemsize
-    row = _row(vertex, order)
-    whole = max(len(data) - body, 0) // max(row.itemsize, 1)
-    if whole < vertex.count:
-        raise InputError(f"{name}: cut off: {whole} of {vertex.count} Gaussians are there")
-    return np.frombuffer(data, row, vertex.count, body)
+        body += element.count * sum(np.dtype(kind).itemsize for kind in element.types)
+    row = np.dtype([(n, order + str(t)) for n, t in zip(wanted.names, wanted.types, strict=True)])
+    whole = max(len(data) - body, 0) // row.itemsize
+    if whole < wanted.count or body > len(data):
+        raise InputError(f"{name}: cut off: {whole} of {wanted.count} {_rows(wanted)} are there")
+    return np.frombuffer(data, row, wanted.count, body)
 
 
 def _read_ascii(
-    data: bytes, body: int, order: str, before: list[Element], vertex: Element, name: str
+    data: bytes, body: int, order: str, before: list[Element], wanted: Element, name: str
 ) -> NDArray[Any]:
     lines = [line for line in data[body:].splitlines() if line.strip()]
     first = sum(element.count for element in before)
-    rows = lines[first : first + vertex.count]
-    if len(rows) < vertex.count:
-        raise InputError(f"{name}: cut off: {len(rows)} of {vertex.count} Gaussians are there")
-    width = len(vertex.names)
+    rows = lines[first : first + wanted.count]
+    if len(rows) < wanted.count:
+        raise InputError(
+            f"{name}: cut off: {len(rows)} of {wanted.count} {_rows(wanted)} are there"
+        )
+    width = len(wanted.names)
     values = [row.split() for row in rows]
     if any(len(row) != width for row in values):
-        raise InputError(f"{name}: a vertex does not have the header's {width} numbers")
+        raise InputError(f"{name}: a row does not have the header's {width} numbers")
     try:
-        return np.array(values, dtype="S").astype(np.float64).reshape(len(rows), width)
+        numbers = (float(word) for row in values for word in row)
+        return np.fromiter(numbers, np.float64, len(rows) * width).reshape(len(rows), width)
     except ValueError as error:
-        raise InputError(f"{name}: a vertex has something that is no number: {error}") from error
+        what = str(error)[:LONGEST_QUOTE]
+        raise InputError(f"{name}: a row has something that is no number: {what}") from error
 
 
-def _row(element: Element, order: str) -> np.dtype[np.void]:
-    return np.dtype(
-        [
-            (label, order + str(kind))
-            for label, kind in zip(element.names, element.types, strict=True)
-        ]
-    )
+def _rows(element: Element) -> str:
+    return "Gaussians" if element.name == "vertex" else f"rows of '{element.name}'"

@@ -16,12 +16,14 @@ class Scene:
         metadata: the text that styl3r wrote along with it, if it did.
         notes: one line each on what was ignored, dropped or repaired.
         dropped: Gaussians left out because they were not finite.
+        non_finite: how many of those had such a value, by attribute.
     """
 
     gaussians: Gaussians
     metadata: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     dropped: int = 0
+    non_finite: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Encoded:
         data: the file.
         count: Gaussians in it.
         dropped: Gaussians left out because they were not finite.
-        notes: one line each on what was dropped or repaired.
+        notes: one line each on what was dropped, rounded or repaired.
     """
 
     data: bytes

@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.formats import encode_scene, read_scene, write_scene
-from styl3r_cli.formats.ply import LOGIT_LIMIT, SMALLEST_SCALE
+from styl3r_cli.formats.values import LOGIT_LIMIT, SMALLEST_SCALE
 from styl3r_cli.gaussians import Gaussians
 
 LAYOUT = (
@@ -195,7 +195,7 @@ LITTLE = "format binary_little_endian 1.0"
         ),
         (
             header(LITTLE, "element vertex 0", "property uint packed_position"),
-            "a compressed PLY",
+            "the PLY has no 'chunk' element",
         ),
         (
             header(LITTLE, "element vertex 9999999999", "property float x"),

@@ -1,0 +1,52 @@
+"""A scene as the command line names it: a file, or standard input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from styl3r_cli.commands.options import STDOUT
+from styl3r_cli.errors import InputError
+from styl3r_cli.files import read_stdin
+from styl3r_cli.formats import Scene, read_scene, recognise, scene_suffix
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene that was read.
+
+    Attributes:
+        scene: what is in it.
+        suffix: its format.
+        size: its bytes.
+    """
+
+    scene: Scene
+    suffix: str
+    size: int
+
+
+def load(source: str, kind: str | None = None) -> SceneFile:
+    """Read a scene file, or standard input if it is called "-".
+
+    Args:
+        source: what the user named.
+        kind: the format's suffix without its dot; by default the file's own, or what the bytes
+            look like.
+
+    Raises:
+        UsageError: no format has the file's suffix.
+        InputError: it cannot be read, or is damaged.
+    """
+    suffix = f".{kind}" if kind else None
+    if source == STDOUT:
+        data = read_stdin()
+        suffix = suffix or recognise(data) or ""
+        return SceneFile(read_scene(data, suffix or None), suffix, len(data))
+    path = Path(source).expanduser()
+    suffix = suffix or scene_suffix(path)
+    scene = read_scene(path, suffix)
+    try:
+        return SceneFile(scene, suffix, path.stat().st_size)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
