@@ -14,7 +14,8 @@ from PIL import Image
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.errors import InputError
 from styl3r_cli.photos.resize import fit_photo
-from styl3r_export.evaluate.scenes import TrueScene, TrueView, crop_camera
+from styl3r_export.cropping import crop_camera
+from styl3r_export.evaluate.scenes import TrueScene, TrueView
 from styl3r_export.scenes.shards import Shard, open_shard, shard_paths
 
 # Every so many-th pixel of a view, both ways, is a point whose whereabouts in the others are known.

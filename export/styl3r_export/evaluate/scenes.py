@@ -16,6 +16,7 @@ from PIL import Image
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.errors import InputError
 from styl3r_cli.photos.resize import fit_photo
+from styl3r_export.cropping import crop_camera
 
 # Where depth is known everywhere, every so many-th pixel of every so many-th row is compared.
 DENSE_STEP = 2
@@ -149,27 +150,3 @@ def cropped_view(
     depth = world @ camera.extrinsics[2, :3] + camera.extrinsics[2, 3]
     inside = ((uv >= 0) & (uv < size)).all(axis=1) & (depth > 0)
     return TrueView(name, pixels, camera, ids[inside], uv[inside], depth[inside], photo.size)
-
-
-def crop_camera(
-    fact: Mapping[str, Any], photo_size: tuple[int, int], size: int
-) -> tuple[Camera, Array, Array]:
-    """A photo's camera after `fit_photo`, exact to the half pixel that an odd margin shifts by.
-
-    Args:
-        fact: `w2c`, `fx`, `fy`, `cx`, `cy` in pixels of a frame of `width` x `height`.
-        photo_size: (width, height) of the photo.
-        size: side of the crop.
-
-    Returns:
-        The camera, and the factors (2,) and the corner (2,) that take stored pixels to the
-        crop's: `uv * factors - corner`.
-    """
-    factor = max(size / photo_size[1], size / photo_size[0])
-    resized = np.array([round(photo_size[0] * factor), round(photo_size[1] * factor)])
-    zoom = resized / np.array([fact["width"], fact["height"]], np.float64)
-    corner = ((resized - size) // 2).astype(np.float64)
-    cx, cy = (float(c) for c in np.array([fact["cx"], fact["cy"]]) * zoom - corner)
-    fx, fy = (float(f) for f in np.array([fact["fx"], fact["fy"]]) * zoom)
-    camera = Camera(np.array(fact["w2c"], np.float64), fx, fy, cx, cy, size, size)
-    return camera, zoom, corner
