@@ -6,12 +6,15 @@ import hashlib
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
+from numpy.typing import NDArray
 
 # What LLVM may change in float arithmetic: fuse a*b+c (faster and more exact) and ignore the sign
 # of zero. Neither reorders sums, so a picture is the same on every run and thread count.
@@ -21,6 +24,24 @@ EXACT_ENOUGH = {"contract", "nsz"}
 PARTS_PER_THREAD = 4
 
 _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
+
+
+def inlined(function: Callable[..., Any], fastmath: set[str] | None = None) -> Callable[..., Any]:
+    """Compile a part of kernels: as they are, but not to be called from Python.
+
+    Wrappers for Python's calls would take longer to compile than some of the parts themselves.
+    """
+    options = {**_options(fastmath), "no_cpython_wrapper": True}
+    return numba.njit(**options)(function)
+
+
+def _options(fastmath: set[str] | None) -> dict[str, Any]:
+    return {
+        "nogil": True,
+        "no_cfunc_wrapper": True,  # nothing in C calls a kernel by its address
+        "fastmath": EXACT_ENOUGH if fastmath is None else fastmath,
+        "error_model": "numpy",  # x / 0 is inf, as in numpy, instead of an exception
+    }
 
 
 def kernel(function: Callable[..., Any], fastmath: set[str] | None = None) -> Callable[..., Any]:
@@ -33,20 +54,36 @@ def kernel(function: Callable[..., Any], fastmath: set[str] | None = None) -> Ca
         function: to compile; its arguments' types are those of the first call.
         fastmath: LLVM's licence with float arithmetic; by default EXACT_ENOUGH.
     """
-    options: dict[str, Any] = {
-        "nogil": True,
-        "fastmath": EXACT_ENOUGH if fastmath is None else fastmath,
-        "error_model": "numpy",  # x / 0 is inf, as in numpy, instead of an exception
-    }
+    options = _options(fastmath)
     try:
         compiled = numba.njit(cache=True, **options)(function)
+    except RuntimeError:
+        return numba.njit(**options)(function)
+    with suppress(AttributeError):  # a numba that keeps code otherwise
+        kept = compiled._cache
         # numba checks the kept code against the function's own file; but the constants and the
         # other kernels that it compiled in come from the files beside it, and may have changed.
-        kept = compiled._cache._cache_file
-        kept._source_stamp = (kept._source_stamp, _sources(Path(function.__code__.co_filename)))
-        return compiled
-    except (RuntimeError, AttributeError, OSError):
-        return numba.njit(**options)(function)
+        stamp = (kept._cache_file._source_stamp, _sources(Path(function.__code__.co_filename)))
+        kept._cache_file._source_stamp = stamp
+        kept.load_overload = _or_nothing(kept.load_overload)
+        kept.save_overload = _or_nothing(kept.save_overload)
+    return compiled
+
+
+def _or_nothing(action: Callable[..., Any]) -> Callable[..., Any]:
+    """The same action, for a cache: if it fails, there is none, and the code is compiled.
+
+    A folder that became read-only, a full disk, or a file that was cut off: unpickling the last
+    can raise anything.
+    """
+
+    def attempt(*arguments: Any, **options: Any) -> Any:
+        try:
+            return action(*arguments, **options)
+        except Exception:
+            return None
+
+    return attempt
 
 
 @cache
@@ -66,27 +103,42 @@ def default_threads() -> int:
     return os.cpu_count() or 1
 
 
+def part_count(count: int, threads: int | None) -> int:
+    """Into how many parts that many things are best cut."""
+    threads = default_threads() if threads is None else max(1, threads)
+    return min(max(count, 1), threads * PARTS_PER_THREAD if threads > 1 else 1)
+
+
 def parallel_for(
     compiled: Callable[..., Any],
     count: int,
     threads: int | None,
     *arguments: object,
-    min_parts: int = 1,
+    costs: NDArray[np.integer] | None = None,
 ) -> None:
     """Call ``compiled(begin, end, *arguments)`` over parts of ``range(count)``, in threads.
 
     Plain threads rather than numba's own: those cannot be entered from two threads at once, nor
     used after a fork, and both happen in a training's data loader.
+
+    Args:
+        compiled: a kernel.
+        count: how many things there are.
+        threads: how many to use; None for every core.
+        arguments: the kernel's others.
+        costs: (count + 1,) what the things before each cost together; alike, if not given.
     """
-    threads = default_threads() if threads is None else max(1, threads)
-    parts = min(count, max(min_parts, threads * PARTS_PER_THREAD if threads > 1 else 1))
-    bounds = [count * part // max(parts, 1) for part in range(parts + 1)]
-    calls = [(begin, end, *arguments) for begin, end in pairwise(bounds)]
-    if threads == 1 or parts <= 1:
+    parts = part_count(count, threads)
+    bounds = np.arange(parts + 1) * count // parts
+    if costs is not None:
+        bounds[1:-1] = np.searchsorted(costs, costs[-1] * np.arange(1, parts) / parts)
+    calls = [(b, e, *arguments) for b, e in pairwise(bounds.tolist()) if b < e]
+    if len(calls) <= 1:
         for call in calls:
             compiled(*call)
         return
-    futures = [_pool(threads).submit(compiled, *call) for call in calls]
+    pool = _pool(default_threads() if threads is None else threads)
+    futures = [pool.submit(compiled, *call) for call in calls]
     for future in futures:
         future.result()
 

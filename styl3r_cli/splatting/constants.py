@@ -33,6 +33,10 @@ PIXEL_CENTRE = 0.5
 TILE = 16
 """Side of the square of pixels that shares one list of splats (INRIA). No effect on the picture."""
 
+MEDIAN_TRANSMITTANCE = 0.5
+"""The median depth is that of the splat which takes transmittance to this, or of the last one
+drawn where none does (2D Gaussian Splatting, arXiv 2403.17888, section 4.2)."""
+
 NEAR_FRACTION = 0.02
 """The near plane, as a fraction of the scene's size. INRIA culls at a fixed 0.2 units, which
 empties small scenes; Styl3R's decoder enlarges the scene tenfold to get around it, which makes
@@ -41,6 +45,10 @@ empties small scenes; Styl3R's decoder enlarges the scene tenfold to get around 
 LOG2_INVERSE_ALPHA_MIN = -math.log2(ALPHA_MIN)
 """A splat of opacity o reaches as far as log2(o) plus this, in halvings of alpha. Bounds that
 follow from it are exact, unlike a fixed 3 sigma (opacity-aware extents, arXiv 2402.00525 B.2)."""
+
+LOG2_CULL_MIN = -LOG2_INVERSE_ALPHA_MIN - 1e-4
+"""Pixels and tiles are passed over only where log2(alpha) is below this: lower than the cut-off
+by more than float32 can err there, so that what is passed over never changes a picture."""
 
 HALVINGS_PER_SQUARED_SIGMA = 0.5 / math.log(2.0)
 """exp(-d^2 / 2) = 2^(-d^2 * this): the kernels count in powers of two."""

@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import kernel, parallel_for
+from styl3r_cli.splatting.compiler import inlined, kernel, parallel_for
 from styl3r_cli.splatting.constants import (
     DILATION,
     HALVINGS_PER_SQUARED_SIGMA,
     JACOBIAN_MARGIN,
+    LOG2_CULL_MIN,
     LOG2_INVERSE_ALPHA_MIN,
     NEAR_FRACTION,
     PIXEL_CENTRE,
-    TILE,
 )
 
 # Columns of a splat's record. At pixel offsets (dx, dy) from the centre (U, V) its alpha is
 # 2^(LOG_OPACITY - p^2 - q^2) with p = A dx + B dy and q = C dy. This factored form of the inverse
 # covariance stays exact for needles, where A dx^2 + 2 B dx dy + C dy^2 cancels catastrophically.
+# A record fills one line of the cache.
 U, V, A, B, C, LOG_OPACITY, Z, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 8
 
 VISIBLE, OUTSIDE, INVALID = 0, 1, 2
@@ -44,8 +45,8 @@ class Splats:
 
     Attributes:
         records: (G, COLUMNS) float64, see the names of the columns; undefined where not visible.
-        rects: (G, 4) int32, the tiles that a splat touches: first column and row, last column
-            and row, all inclusive.
+        rects: (G, 4) int32, the pixels that bound a splat: first column and row, last column and
+            row, all inclusive and within the frame.
         status: (G,) uint8: VISIBLE, OUTSIDE (of the frame, or invisible), INVALID.
     """
 
@@ -68,8 +69,18 @@ def near_plane(means: FloatArray) -> float:
     return NEAR_FRACTION * float(np.median(distances))
 
 
-def project(gaussians: Gaussians, camera: Camera, near: float, threads: int | None) -> Splats:
+def project(
+    gaussians: Gaussians,
+    camera: Camera,
+    near: float,
+    threads: int | None,
+    antialias: bool = False,
+) -> Splats:
     """Project Gaussians into a camera; view z up to ``near`` is not drawn.
+
+    With ``antialias``, a splat that the dilation widens is made fainter, so that it weighs as much
+    as before: sqrt(det / dilated det) (Mip-Splatting, arXiv 2311.16493, equation 9; the dilation
+    stays the common one, as in gsplat).
 
     Raises:
         ValueError: if the camera is not finite or has no focal length or pixels.
@@ -84,7 +95,8 @@ def project(gaussians: Gaussians, camera: Camera, near: float, threads: int | No
         _project, count, threads,
         gaussians.means, gaussians.scales, gaussians.rotations, gaussians.opacities,
         gaussians.colours, np.ascontiguousarray(camera.extrinsics, np.float64), lens_of(camera),
-        camera.height, camera.width, float(near), splats.records, splats.rects, splats.status,
+        camera.height, camera.width, float(near), antialias,
+        splats.records, splats.rects, splats.status,
     )  # fmt: skip
     return splats
 
@@ -101,33 +113,35 @@ def lens_of(camera: Camera) -> NDArray[np.float64]:
     return lens
 
 
-@kernel
+@inlined
 def axis_limits(focal, centre, length):
     """Range of x/z (or y/z) within which the projection's Jacobian is trusted."""
     margin = JACOBIAN_MARGIN * 0.5 * length / focal
     return -centre / focal - margin, (length - centre) / focal + margin
 
 
-@kernel
+@inlined
 def view_centre(i, means, view):
     """A mean in the camera: x / z, y / z and z."""
     m0, m1, m2 = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
     z = view[2, 0] * m0 + view[2, 1] * m1 + view[2, 2] * m2 + view[2, 3]
     x = view[0, 0] * m0 + view[0, 1] * m1 + view[0, 2] * m2 + view[0, 3]
     y = view[1, 0] * m0 + view[1, 1] * m1 + view[1, 2] * m2 + view[1, 3]
-    return x / z, y / z, z
+    nearness = 1 / z
+    return x * nearness, y * nearness, z
 
 
-@kernel
+@inlined
 def unit_quaternion(i, rotations):
     """A rotation as a quaternion w x y z of length 1, and the length that it had."""
     w, x = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
     y, z = np.float64(rotations[i, 2]), np.float64(rotations[i, 3])
     norm = math.sqrt(w * w + x * x + y * y + z * z)
-    return (w / norm, x / norm, y / norm, z / norm), norm
+    scale = 1 / norm
+    return (w * scale, x * scale, y * scale, z * scale), norm
 
 
-@kernel
+@inlined
 def to_matrix(w, x, y, z):
     """The (3, 3) rotation of a unit quaternion, row by row."""
     return (
@@ -137,7 +151,7 @@ def to_matrix(w, x, y, z):
     )  # fmt: skip
 
 
-@kernel
+@inlined
 def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y, rows):
     """Fill ``rows`` (2, 3): the frame's x and y, in pixels, per sigma along each own axis."""
     qw, qx, qy, qz = quaternion
@@ -151,9 +165,9 @@ def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y, rows):
         rows[1, k] = fy_z * (n1 - slope_y * n2)
 
 
-@kernel
+@inlined
 def covariance(rows):
-    """Dilated variances along x and y, their covariance, and the determinant.
+    """Dilated variances along x and y, their covariance, and the determinants with and without.
 
     The determinant as a sum of squares: the usual xx * yy - xy^2 cancels for needles.
     """
@@ -163,11 +177,12 @@ def covariance(rows):
     m0 = rows[0, 1] * rows[1, 2] - rows[0, 2] * rows[1, 1]
     m1 = rows[0, 2] * rows[1, 0] - rows[0, 0] * rows[1, 2]
     m2 = rows[0, 0] * rows[1, 1] - rows[0, 1] * rows[1, 0]
-    det = m0 * m0 + m1 * m1 + m2 * m2 + DILATION * (xx + yy) + DILATION * DILATION
-    return xx + DILATION, yy + DILATION, xy, det
+    sharp = m0 * m0 + m1 * m1 + m2 * m2
+    det = sharp + DILATION * (xx + yy) + DILATION * DILATION
+    return xx + DILATION, yy + DILATION, xy, det, sharp
 
 
-@kernel
+@inlined
 def _valid(i, means, scales, rotations, opacities, colours):
     """Whether Gaussian i is finite and describes an ellipsoid."""
     total = np.float64(opacities[i])
@@ -184,7 +199,7 @@ def _valid(i, means, scales, rotations, opacities, colours):
 
 @kernel
 def _project(begin, end, means, scales, rotations, opacities, colours, view, lens,
-             height, width, near, records, rects, status):  # fmt: skip
+             height, width, near, antialias, records, rects, status):  # fmt: skip
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     x_low, x_high = axis_limits(fx, cx, width)
     y_low, y_high = axis_limits(fy, cy, height)
@@ -205,17 +220,19 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
             fx / z, fy / z, min(max(slope_x, x_low), x_high), min(max(slope_y, y_low), y_high),
             rows,
         )  # fmt: skip
-        xx, yy, xy, det = covariance(rows)
+        xx, yy, xy, det, sharp = covariance(rows)
         if not math.isfinite(det + xx + yy):
             status[i] = INVALID
             continue
         log_opacity = math.log2(opacity)
-        reach = log_opacity + LOG2_INVERSE_ALPHA_MIN
-        if reach <= 0:
+        if antialias:
+            log_opacity += 0.5 * math.log2(sharp / det)
+        if not log_opacity > -LOG2_INVERSE_ALPHA_MIN:
             continue
         u, v = fx * slope_x + cx, fy * slope_y + cy
-        reach /= HALVINGS_PER_SQUARED_SIGMA
-        if not _touch(i, rects, u, v, math.sqrt(reach * xx), math.sqrt(reach * yy), width, height):
+        reach = (log_opacity - LOG2_CULL_MIN) / HALVINGS_PER_SQUARED_SIGMA
+        radius_x, radius_y = math.sqrt(reach * xx), math.sqrt(reach * yy)
+        if not _touch(i, rects, u, v, radius_x, radius_y, width, height):
             continue
         a = math.sqrt(HALVINGS_PER_SQUARED_SIGMA * yy / det)
         records[i, U], records[i, V], records[i, Z] = u, v, z
@@ -225,15 +242,16 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
         status[i] = VISIBLE
 
 
-@kernel
+@inlined
 def _touch(i, rects, u, v, radius_x, radius_y, width, height):
-    """Note the tiles around a splat; False if no pixel's centre lies within its extent."""
-    x0 = max(np.ceil(u - radius_x - PIXEL_CENTRE), 0.0)
-    y0 = max(np.ceil(v - radius_y - PIXEL_CENTRE), 0.0)
-    x1 = min(np.floor(u + radius_x - PIXEL_CENTRE), width - 1.0)
-    y1 = min(np.floor(v + radius_y - PIXEL_CENTRE), height - 1.0)
-    if not (x0 <= x1 and y0 <= y1):
+    """Note the pixels around a splat; False if no pixel's centre lies within its extent."""
+    across, down = abs(u - 0.5 * width) - radius_x, abs(v - 0.5 * height) - radius_y
+    if not (across <= 0.5 * width - PIXEL_CENTRE and down <= 0.5 * height - PIXEL_CENTRE):
         return False
-    rects[i, 0], rects[i, 1] = int(x0) // TILE, int(y0) // TILE
-    rects[i, 2], rects[i, 3] = int(x1) // TILE, int(y1) // TILE
-    return True
+    # Kept within the frame before they become integers, which cannot hold all that floats can.
+    x0 = math.ceil(max(u - radius_x - PIXEL_CENTRE, 0.0))
+    y0 = math.ceil(max(v - radius_y - PIXEL_CENTRE, 0.0))
+    x1 = math.floor(min(u + radius_x - PIXEL_CENTRE, width - 1.0))
+    y1 = math.floor(min(v + radius_y - PIXEL_CENTRE, height - 1.0))
+    rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3] = x0, y0, x1, y1
+    return x0 <= x1 and y0 <= y1

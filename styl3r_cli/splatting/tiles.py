@@ -5,93 +5,196 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from styl3r_cli.splatting.compiler import kernel
-from styl3r_cli.splatting.constants import TILE
-from styl3r_cli.splatting.projection import VISIBLE, Splats, Z
+from styl3r_cli.splatting.compiler import inlined, kernel, parallel_for, part_count
+from styl3r_cli.splatting.constants import LOG2_CULL_MIN, PIXEL_CENTRE
+from styl3r_cli.splatting.projection import LOG_OPACITY, VISIBLE, A, B, C, Splats, U, V, Z
 
-RADIX_BITS = 11  # three passes cover a float32, and a histogram of 2^11 stays in the L1 cache
-
-# (tile, splat) pairs that one band may list, on average: 64 MB. Only very large frames and very
-# large splats come near it.
+# (tile, splat) pairs that are listed at a time: 128 MB with the depths that sort them. Only very
+# large splats on very large frames have more, and are drawn in several bands.
 PAIR_BUDGET = 16_000_000
 
+# A float32 is sorted digit by digit. Few values per digit, because most tiles hold few splats.
+DIGIT_BITS = 8
+DIGITS = 32 // DIGIT_BITS
+_VALUES = 1 << DIGIT_BITS
 
-def tile_count(length: int) -> int:
-    """Tiles along a side of that many pixels (the last may be cut off)."""
-    return -(-length // TILE)
-
-
-def depth_order(splats: Splats) -> NDArray[np.int32]:
-    """Indices of the visible splats by view z (as float32), equal ones by index."""
-    visible = np.flatnonzero(splats.status == VISIBLE).astype(np.int32)
-    # Positive floats sort like their bits read as integers.
-    keys = splats.records[visible, Z].astype(np.float32).view(np.uint32)
-    return _radix_sort(keys, visible)
+# What a tile costs besides its list, in splats: an empty one must still be written.
+TILE_COST = 64
 
 
-@kernel
-def _radix_sort(keys, values):
-    """The values in the order of their uint32 keys; stable."""
-    count = len(keys)
-    buckets = 1 << RADIX_BITS
-    mask = np.uint32(buckets - 1)
-    other_keys, other_values = np.empty_like(keys), np.empty_like(values)
-    for shift in range(0, 32, RADIX_BITS):
-        starts = np.zeros(buckets + 1, np.int64)
-        for i in range(count):
-            starts[((keys[i] >> np.uint32(shift)) & mask) + 1] += 1
-        for bucket in range(buckets):
-            starts[bucket + 1] += starts[bucket]
-        for i in range(count):
-            bucket = (keys[i] >> np.uint32(shift)) & mask
-            other_keys[starts[bucket]] = keys[i]
-            other_values[starts[bucket]] = values[i]
-            starts[bucket] += 1
-        keys, other_keys = other_keys, keys
-        values, other_values = other_values, values
-    return values
+@dataclass(frozen=True)
+class TileLists:
+    """The splats of a band of tiles.
 
-
-def min_bands(rects: NDArray[np.int32]) -> int:
-    """How many bands to cut the frame into so that the lists of a band stay within PAIR_BUDGET."""
-    spans = rects[:, 2:].astype(np.int64) - rects[:, :2] + 1
-    return 1 + int((spans[:, 0] * spans[:, 1]).sum()) // PAIR_BUDGET
-
-
-@kernel
-def bin_band(row_begin, row_end, columns, order, rects):
-    """Lists of splats for the tiles in rows ``row_begin`` to ``row_end`` (exclusive).
-
-    Every band of tiles builds its own lists, so bands need nothing from each other and the
-    memory stays that of the bands at work.
-
-    Args:
-        row_begin: first row of tiles.
-        row_end: past the last row.
+    Attributes:
+        tile: side of a tile, pixels.
         columns: tiles in a row of the frame.
-        order: (V,) the visible splats, nearest first.
-        rects: (V, 4) their tiles, in that order (read twice from end to end by every band).
-
-    Returns:
-        starts: (tiles + 1,) where each tile's list starts, row by row.
-        members: splat indices, nearest first within each tile.
+        first: the band's first tile (tiles are counted row by row).
+        starts: (tiles + 1,) int64, where each tile's list starts.
+        members: splat indices, nearest first within each tile, equal depths by index.
     """
-    starts = np.zeros((row_end - row_begin) * columns + 1, np.int64)
-    for n in range(len(order)):
-        for row in range(max(rects[n, 1], row_begin), min(rects[n, 3] + 1, row_end)):
-            for column in range(rects[n, 0], rects[n, 2] + 1):
-                starts[(row - row_begin) * columns + column + 1] += 1
-    for tile in range(len(starts) - 1):
-        starts[tile + 1] += starts[tile]
-    members = np.empty(starts[-1], np.int32)
-    free = starts.copy()
-    for n in range(len(order)):
-        for row in range(max(rects[n, 1], row_begin), min(rects[n, 3] + 1, row_end)):
-            for column in range(rects[n, 0], rects[n, 2] + 1):
-                tile = (row - row_begin) * columns + column
-                members[free[tile]] = order[n]
-                free[tile] += 1
-    return starts, members
+
+    tile: int
+    columns: int
+    first: int
+    starts: NDArray[np.int64]
+    members: NDArray[np.int32]
+
+    @property
+    def costs(self) -> NDArray[np.int64]:
+        """(tiles + 1,) the work up to each tile, for sharing it out."""
+        return self.starts + TILE_COST * np.arange(len(self.starts))
+
+
+def tile_count(length: int, tile: int) -> int:
+    """Tiles along a side of that many pixels (the last may be cut off)."""
+    return -(-length // tile)
+
+
+def tile_lists(
+    splats: Splats, width: int, height: int, tile: int, threads: int | None
+) -> Iterator[TileLists]:
+    """The lists of a frame's tiles, one band of whole rows after the other (mostly one in all).
+
+    Counted, then filled: each part of the splats knows where in a tile's list its own ones go.
+    """
+    columns, rows = tile_count(width, tile), tile_count(height, tile)
+    parts = part_count(len(splats.status), threads)
+    counts = np.zeros((parts, rows * columns), np.int64)
+    where = (splats.status, splats.rects, splats.records, columns, tile)
+    none, no_keys = np.empty(0, np.int32), np.empty(0, np.uint32)
+    parallel_for(_list, parts, threads, parts, *where, 0, rows, counts, none, no_keys, False)
+    totals = counts.sum(axis=0)
+    for begin, end in _bands(totals.reshape(rows, columns).sum(axis=1)):
+        band = slice(begin * columns, end * columns)
+        starts = np.concatenate([[0], np.cumsum(totals[band])])
+        places = starts[:-1] + np.cumsum(counts[:, band], axis=0) - counts[:, band]
+        members, keys = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint32)
+        parallel_for(_list, parts, threads, parts, *where, begin, end, places, members, keys, True)
+        lists = TileLists(tile, columns, band.start, starts, members)
+        parallel_for(_sort, len(starts) - 1, threads, starts, members, keys, costs=lists.costs)
+        yield lists
+
+
+def _bands(pairs: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+    """Rows of tiles, begin and end, that are listed together: as many as the budget allows."""
+    begin, total = 0, 0
+    for row, here in enumerate(pairs.tolist()):
+        if row > begin and total + here > PAIR_BUDGET:
+            yield begin, row
+            begin, total = row, 0
+        total += here
+    yield begin, len(pairs)
+
+
+@inlined
+def _reach_of(i, records):
+    return records[i, LOG_OPACITY] - LOG2_CULL_MIN
+
+
+@inlined
+def _bulge(i, records):
+    """How far below its centre a splat's outline is farthest to the right (left: above)."""
+    b, c = records[i, B], records[i, C]
+    return -b * math.sqrt(_reach_of(i, records) / (b * b + c * c)) / c
+
+
+@inlined
+def _reached_columns(i, records, bulge, first, last):
+    """How far a splat's outline reaches within some rows of pixels, in pixels' indices.
+
+    The outline's right half, x(dy) = (sqrt(reach - (C dy)^2) - B dy) / A, is concave: between two
+    heights its largest x is at its bulge, or at the height that is nearest to it; mirrored, so is
+    the left one (exact ellipse-tile intersection, as in Speedy-Splat, arXiv 2412.00578).
+    """
+    a, b, c, reach = records[i, A], records[i, B], records[i, C], _reach_of(i, records)
+    edge = math.sqrt(reach) / c
+    top = max(first + PIXEL_CENTRE - records[i, V], -edge)
+    bottom = min(last + PIXEL_CENTRE - records[i, V], edge)
+    right = min(max(bulge, top), bottom)
+    left = min(max(-bulge, top), bottom)
+    x1 = (math.sqrt(max(reach - c * c * right * right, 0.0)) - b * right) / a
+    x0 = (-math.sqrt(max(reach - c * c * left * left, 0.0)) - b * left) / a
+    centre = records[i, U] - PIXEL_CENTRE
+    return centre + x0, centre + x1
+
+
+@kernel
+def _list(part_begin, part_end, parts, status, rects, records, columns, tile, row_begin,
+          row_end, places, members, keys, fill):  # fmt: skip
+    """Count each part's splats of each tile into ``places`` (parts, tiles), or list them there."""
+    count = len(status)
+    for part in range(part_begin, part_end):
+        free = places[part]
+        for i in range(count * part // parts, count * (part + 1) // parts):
+            if status[i] != VISIBLE:
+                continue
+            first_row, last_row = rects[i, 1] // tile, rects[i, 3] // tile
+            first, last = rects[i, 0] // tile, rects[i, 2] // tile
+            # Where tiles are so few that the outline misses hardly any, they need no closer look.
+            exact = first < last and (last - first) + (last_row - first_row) > 1
+            bulge = _bulge(i, records) if exact else 0.0
+            for row in range(max(first_row, row_begin), min(last_row + 1, row_end)):
+                low, high = first, last
+                if exact:
+                    top, bottom = (
+                        max(row * tile, rects[i, 1]),
+                        min((row + 1) * tile - 1, rects[i, 3]),
+                    )
+                    x0, x1 = _reached_columns(i, records, bulge, top, bottom)
+                    x0, x1 = max(x0, float(rects[i, 0])), min(x1, float(rects[i, 2]))
+                    low, high = math.ceil(x0) // tile, math.floor(x1) // tile
+                for t in range((row - row_begin) * columns + low,
+                               (row - row_begin) * columns + high + 1):  # fmt: skip
+                    if fill:
+                        members[free[t]] = i
+                        # Positive floats sort like their bits read as integers.
+                        keys[free[t]] = np.float32(records[i, Z]).view(np.uint32)
+                    free[t] += 1
+
+
+@inlined
+def _sort_list(keys, members, other_keys, other_members, counts):
+    """Sort one list, stably; digits that all keys share are passed over."""
+    count = len(keys)
+    counts[:] = 0
+    for i in range(count):
+        for digit in range(DIGITS):
+            counts[digit, (keys[i] >> np.uint32(digit * DIGIT_BITS)) & np.uint32(_VALUES - 1)] += 1
+    for digit in range(DIGITS):
+        shift, mask = np.uint32(digit * DIGIT_BITS), np.uint32(_VALUES - 1)
+        if counts[digit, (keys[0] >> shift) & mask] == count:
+            continue
+        place = 0
+        for value in range(_VALUES):
+            here = counts[digit, value]
+            counts[digit, value] = place
+            place += here
+        for i in range(count):
+            value = (keys[i] >> shift) & mask
+            place = counts[digit, value]
+            counts[digit, value] = place + 1
+            other_keys[place], other_members[place] = keys[i], members[i]
+        for i in range(count):
+            keys[i], members[i] = other_keys[i], other_members[i]
+
+
+@kernel
+def _sort(tile_begin, tile_end, starts, members, keys):
+    """Sort the lists of some tiles by their keys."""
+    longest = 0
+    for tile in range(tile_begin, tile_end):
+        longest = max(longest, starts[tile + 1] - starts[tile])
+    other_keys, other_members = np.empty(longest, np.uint32), np.empty(longest, np.int32)
+    counts = np.empty((DIGITS, _VALUES), np.int32)
+    for tile in range(tile_begin, tile_end):
+        low, high = starts[tile], starts[tile + 1]
+        if high - low > 1:
+            _sort_list(keys[low:high], members[low:high], other_keys, other_members, counts)

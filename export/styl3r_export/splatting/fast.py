@@ -13,10 +13,12 @@ from torch import Tensor
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import FloatArray, Gaussians
+from styl3r_cli.splatting.blending import TRANSMITTANCE
 from styl3r_cli.splatting.compiler import parallel_for
+from styl3r_cli.splatting.constants import TILE
 from styl3r_cli.splatting.projection import VISIBLE, Splats, lens_of, near_plane, project
 from styl3r_cli.splatting.renderer import accumulate
-from styl3r_cli.splatting.tiles import depth_order, min_bands, tile_count
+from styl3r_cli.splatting.tiles import tile_lists
 from styl3r_export.splatting.gradients import SUMS, unblend
 from styl3r_export.splatting.unprojection import unproject
 
@@ -85,7 +87,7 @@ class _Splat(torch.autograd.Function):
         planes = accumulate(splats, gaussians.colours, camera, threads)
         ctx.save_for_backward(*tensors)
         ctx.kept = _Kept(gaussians, camera, splats, planes, threads)
-        return torch.from_numpy(planes[:4]), torch.from_numpy(1 - planes[4])
+        return torch.from_numpy(planes[:4]), torch.from_numpy(1 - planes[TRANSMITTANCE])
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
@@ -110,16 +112,15 @@ def _backward(kept: _Kept, incoming: FloatArray) -> list[FloatArray]:
     """Gradients of the five arrays of Gaussians, from those of weighted planes and alpha."""
     gaussians, camera, splats = kept.gaussians, kept.camera, kept.splats
     total = np.einsum("chw,chw->hw", incoming[:4], kept.planes[:4])
-    total += incoming[4] * (1 - kept.planes[4])
+    total += incoming[4] * (1 - kept.planes[TRANSMITTANCE])
     slots = _pair_slots(splats)
     pairs = np.zeros((slots[-1], SUMS), np.float32)
-    order = depth_order(splats)
-    rects = splats.rects[order]
-    parallel_for(
-        unblend, tile_count(camera.height), kept.threads,
-        order, rects, splats.rects, splats.records, gaussians.colours, incoming, total,
-        slots, pairs, min_parts=min_bands(rects),
-    )  # fmt: skip
+    for band in tile_lists(splats, camera.width, camera.height, TILE, kept.threads):
+        parallel_for(
+            unblend, len(band.starts) - 1, kept.threads,
+            band.first, band.columns, band.starts, band.members, splats.rects, splats.records,
+            gaussians.colours, incoming, total, slots, pairs, costs=band.costs,
+        )  # fmt: skip
     arrays = (gaussians.means, gaussians.scales, gaussians.rotations, gaussians.opacities)
     results = [np.zeros_like(array) for array in (*arrays, gaussians.colours)]
     view = np.ascontiguousarray(camera.extrinsics, np.float64)
@@ -133,6 +134,7 @@ def _backward(kept: _Kept, incoming: FloatArray) -> list[FloatArray]:
 
 def _pair_slots(splats: Splats) -> NDArray[np.int64]:
     """(G + 1,) where each splat's (splat, tile) pairs start; none for the invisible."""
-    spans = splats.rects[:, 2:].astype(np.int64) - splats.rects[:, :2] + 1
+    tiles = splats.rects.astype(np.int64) // TILE
+    spans = tiles[:, 2:] - tiles[:, :2] + 1
     areas = np.where(splats.status == VISIBLE, spans[:, 0] * spans[:, 1], 0)
     return np.concatenate([[0], np.cumsum(areas)])

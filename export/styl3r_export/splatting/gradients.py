@@ -17,14 +17,8 @@ import math
 
 import numpy as np
 
-from styl3r_cli.splatting.blending import (
-    CHECK_EVERY,
-    covered_lanes,
-    covered_rows,
-    finished,
-    power_of_two,
-)
-from styl3r_cli.splatting.compiler import EXACT_ENOUGH, kernel
+from styl3r_cli.splatting.blending import CHECK_EVERY, LANES, power_of_two, still_live
+from styl3r_cli.splatting.compiler import EXACT_ENOUGH, inlined, kernel
 from styl3r_cli.splatting.constants import (
     ALPHA_MAX,
     LOG2_INVERSE_ALPHA_MIN,
@@ -33,7 +27,6 @@ from styl3r_cli.splatting.constants import (
     TRANSMITTANCE_MIN,
 )
 from styl3r_cli.splatting.projection import LOG_OPACITY, A, B, C, U, V, Z
-from styl3r_cli.splatting.tiles import bin_band
 
 # Sums over a pair's pixels, with t = log2(alpha), (dx, dy) the offset from the splat's centre, p
 # as in projection.py and g = dLoss/dt; then the gradients of red, green, blue and depth.
@@ -42,10 +35,11 @@ G, G_P, G_P_DX, G_P_DY, G_DY, G_DY_DY, RED, GREEN, BLUE, DEPTH, SUMS = range(11)
 # A pixel's planes: transmittance, loss passed so far, loss in total, and the incoming gradients.
 PLANES = 8
 
-_AREA = TILE * TILE
-_PASSED, _TOTAL, _RED = np.uintp(_AREA), np.uintp(2 * _AREA), np.uintp(3 * _AREA)
-_GREEN, _BLUE, _DEPTH = np.uintp(4 * _AREA), np.uintp(5 * _AREA), np.uintp(6 * _AREA)
-_ALPHA, _ROW = np.uintp(7 * _AREA), np.uintp(TILE)
+# Distances between planes in a segment of LANES pixels, and between segments.
+_PASSED, _TOTAL, _RED = np.uintp(LANES), np.uintp(2 * LANES), np.uintp(3 * LANES)
+_GREEN, _BLUE, _DEPTH = np.uintp(4 * LANES), np.uintp(5 * LANES), np.uintp(6 * LANES)
+_ALPHA, _SEGMENT = np.uintp(7 * LANES), np.uintp(PLANES * LANES)
+_ACROSS, _SEGMENTS = TILE // LANES, TILE * TILE // LANES
 
 _ZERO, _ONE, _LN2 = np.float32(0), np.float32(1), np.float32(math.log(2.0))
 _ALPHA_MAX = np.float32(ALPHA_MAX)
@@ -53,17 +47,16 @@ _TRANSMITTANCE_MIN = np.float32(TRANSMITTANCE_MIN)
 _CUTOFF = np.float32(-LOG2_INVERSE_ALPHA_MIN)
 
 # Sums over a row's pixels may be reordered into vector lanes: fixed when compiled, so repeatable.
-summing_kernel = functools.partial(kernel, fastmath=EXACT_ENOUGH | {"reassoc"})
+summing = functools.partial(inlined, fastmath=EXACT_ENOUGH | {"reassoc"})
 
 
-@summing_kernel
-def _unblend_row(state, first, past, p, dx, a, log_alpha, red, green, blue, z):
-    """Sums of g, g p, g p dx and the weighted incoming gradients over a row of pixels."""
+@summing
+def _unblend_segment(state, base, p, dx, a, log_alpha, red, green, blue, z):
+    """Sums of g, g p, g p dx and the weighted incoming gradients over a segment's pixels."""
     s0, s1, s2 = _ZERO, _ZERO, _ZERO
     s_red, s_green, s_blue, s_depth = _ZERO, _ZERO, _ZERO, _ZERO
-    count = past - first
-    for j in range(count):
-        i = first + j
+    for j in range(LANES):
+        i = base + np.uintp(j)
         x = np.float32(j)
         pj = p + a * x
         t = log_alpha - pj * pj
@@ -94,70 +87,68 @@ def _unblend_row(state, first, past, p, dx, a, log_alpha, red, green, blue, z):
     return s0, s1, s2, s_red, s_green, s_blue, s_depth
 
 
-@kernel
-def _unblend_splat(state, x0, y0, g, records, colours, sums):
+@inlined
+def _unblend_splat(state, live, x0, y0, g, rects, records, colours, sums):
     """Fill one pair's ``sums`` (SUMS,)."""
-    a, b, c = records[g, A], records[g, B], records[g, C]
-    log_opacity = records[g, LOG_OPACITY]
-    reach = log_opacity + LOG2_INVERSE_ALPHA_MIN
-    du = x0 + PIXEL_CENTRE - records[g, U]
-    dv = y0 + PIXEL_CENTRE - records[g, V]
-    red, green, blue, z = colours[g, 0], colours[g, 1], colours[g, 2], np.float32(records[g, Z])
-    first_row, last_row = covered_rows(-dv, c, reach)
-    for row in range(first_row, last_row + 1):
-        dy = dv + row
-        q = c * dy
-        rest = reach - q * q
-        if rest < 0:
-            continue
-        p = a * du + b * dy
-        low, high = covered_lanes(p, a, rest)
-        if low >= high:
-            continue
-        start = np.uintp(row) * _ROW
-        s0, s1, s2, s_red, s_green, s_blue, s_depth = _unblend_row(
-            state, start + np.uintp(low), start + np.uintp(high), np.float32(p + a * low),
-            np.float32(du + low), np.float32(a), np.float32(log_opacity - q * q),
-            red, green, blue, z,
-        )  # fmt: skip
-        sums[G] += s0
-        sums[G_P] += s1
-        sums[G_P_DX] += s2
-        sums[G_P_DY] += s1 * dy
-        sums[G_DY] += s0 * dy
-        sums[G_DY_DY] += s0 * dy * dy
-        sums[RED] += s_red
-        sums[GREEN] += s_green
-        sums[BLUE] += s_blue
-        sums[DEPTH] += s_depth
+    u, v, a, b, c = records[g, U], records[g, V], records[g, A], records[g, B], records[g, C]
+    log_opacity, z = records[g, LOG_OPACITY], np.float32(records[g, Z])
+    red, green, blue = colours[g, 0], colours[g, 1], colours[g, 2]
+    left, right = max(rects[g, 0] - x0, 0) // LANES, min(rects[g, 2] - x0, TILE - 1) // LANES
+    for column in range(left, right + 1):
+        dx = x0 + column * LANES + PIXEL_CENTRE - u
+        for y in range(max(rects[g, 1], y0), min(rects[g, 3], y0 + TILE - 1) + 1):
+            segment = np.uintp((y - y0) * _ACROSS + column)
+            if not live[segment]:
+                continue
+            dy = y + PIXEL_CENTRE - v
+            q = c * dy
+            s0, s1, s2, s_red, s_green, s_blue, s_depth = _unblend_segment(
+                state, segment * _SEGMENT, np.float32(a * dx + b * dy), np.float32(dx),
+                np.float32(a), np.float32(log_opacity - q * q), red, green, blue, z,
+            )  # fmt: skip
+            sums[G] += s0
+            sums[G_P] += s1
+            sums[G_P_DX] += s2
+            sums[G_P_DY] += s1 * dy
+            sums[G_DY] += s0 * dy
+            sums[G_DY_DY] += s0 * dy * dy
+            sums[RED] += s_red
+            sums[GREEN] += s_green
+            sums[BLUE] += s_blue
+            sums[DEPTH] += s_depth
 
 
-@kernel
-def _load_tile(state, x0, y0, incoming, total):
+@inlined
+def _load_tile(state, live, x0, y0, incoming, total):
     """Set a tile's planes to the start; pixels outside the frame are finished."""
     height, width = total.shape
     state[:] = _ZERO
-    state[:_AREA] = -_ONE
-    for y in range(y0, min(y0 + TILE, height)):
-        for x in range(x0, min(x0 + TILE, width)):
-            k = (y - y0) * TILE + x - x0
-            state[k] = _ONE
-            state[2 * _AREA + k] = total[y, x]
-            for plane in range(5):
-                state[(3 + plane) * _AREA + k] = incoming[plane, y, x]
+    live[:] = True
+    for k in range(TILE * TILE):
+        base = k // LANES * (PLANES * LANES) + k % LANES
+        x, y = x0 + k % TILE, y0 + k // TILE
+        if x >= width or y >= height:
+            state[base] = -_ONE
+            continue
+        state[base] = _ONE
+        state[base + 2 * LANES] = total[y, x]
+        for plane in range(5):
+            state[base + (3 + plane) * LANES] = incoming[plane, y, x]
 
 
 @kernel
-def unblend(row_begin, row_end, order, order_rects, rects, records, colours, incoming, total,
+def unblend(begin, end, first, columns, starts, members, rects, records, colours, incoming, total,
             slots, pairs):  # fmt: skip
-    """Fill ``pairs`` (P, SUMS), all zero before, for the tiles in some rows.
+    """Fill ``pairs`` (P, SUMS), all zero before, for some tiles of a band.
 
     Args:
-        row_begin: first row of tiles.
-        row_end: past the last.
-        order: (V,) visible splats, nearest first.
-        order_rects: (V, 4) their tiles.
-        rects: (G, 4) every splat's tiles.
+        begin: first of the tiles.
+        end: past the last.
+        first: the band's first tile.
+        columns: tiles in a row of the frame.
+        starts: (tiles + 1,) where each tile's list of splats starts.
+        members: the lists.
+        rects: (G, 4) the pixels around each splat.
         records: (G, COLUMNS) projected splats.
         colours: (G, 3) not negative.
         incoming: (5, H, W) gradients of weighted red, green, blue, depth, and of alpha.
@@ -165,16 +156,18 @@ def unblend(row_begin, row_end, order, order_rects, rects, records, colours, inc
         slots: (G + 1,) where each splat's pairs start; a tile per pair, row by row.
         pairs: filled.
     """
-    columns = (total.shape[1] + TILE - 1) // TILE
-    starts, members = bin_band(row_begin, row_end, columns, order, order_rects)
-    state = np.empty(PLANES * _AREA, np.float32)
-    for tile in range(len(starts) - 1):
-        column, row = tile % columns, row_begin + tile // columns
-        _load_tile(state, column * TILE, row * TILE, incoming, total)
-        for n in range(starts[tile], starts[tile + 1]):
-            if n % CHECK_EVERY == 0 and finished(state[:_AREA]):
+    state = np.empty(PLANES * TILE * TILE, np.float32)
+    live = np.empty(_SEGMENTS, np.bool_)
+    for k in range(begin, end):
+        column, row = (first + k) % columns, (first + k) // columns
+        _load_tile(state, live, column * TILE, row * TILE, incoming, total)
+        for n in range(starts[k], starts[k + 1]):
+            due = (n - starts[k]) % CHECK_EVERY == CHECK_EVERY - 1
+            if due and not still_live(state, live, _SEGMENT, np.uintp(0)):
                 break
             g = members[n]
-            wide = rects[g, 2] - rects[g, 0] + 1
-            slot = slots[g] + (row - rects[g, 1]) * wide + column - rects[g, 0]
-            _unblend_splat(state, column * TILE, row * TILE, g, records, colours, pairs[slot])
+            wide = rects[g, 2] // TILE - rects[g, 0] // TILE + 1
+            slot = slots[g] + (row - rects[g, 1] // TILE) * wide + column - rects[g, 0] // TILE
+            _unblend_splat(
+                state, live, column * TILE, row * TILE, g, rects, records, colours, pairs[slot]
+            )

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from styl3r_cli.splatting.compiler import kernel
+from styl3r_cli.splatting.compiler import inlined, kernel
 from styl3r_cli.splatting.projection import (
     VISIBLE,
     A,
@@ -35,10 +35,10 @@ from styl3r_export.splatting.gradients import (
 )
 
 
-@kernel
+@inlined
 def _shape_gradient(sums, a, b, c, rows, g_rows):
     """Fill ``g_rows`` (2, 3), the gradient of the footprint, through A, B, C and the covariance."""
-    xx, yy, xy, det = covariance(rows)
+    xx, yy, xy, det, _ = covariance(rows)
     g_a, g_b, g_c = -2 * sums[G_P_DX], -2 * sums[G_P_DY], -2 * c * sums[G_DY_DY]
     # a^2 ~ yy / det, b = -a xy / yy, c^2 ~ 1 / yy, det = xx yy - xy^2.
     g_a -= g_b * xy / yy
@@ -50,7 +50,7 @@ def _shape_gradient(sums, a, b, c, rows, g_rows):
         g_rows[1, k] = 2 * g_yy * rows[1, k] + g_xy * rows[0, k]
 
 
-@kernel
+@inlined
 def _quaternion_gradient(q, norm, m):
     """Gradient of the unnormalised quaternion, from that of its rotation's entries ``m`` (9,)."""
     w, x, y, z = q
@@ -67,7 +67,7 @@ def _quaternion_gradient(q, norm, m):
     )
 
 
-@kernel
+@inlined
 def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):
     """Scales' and rotation's gradients, from that of ``view @ rotation @ diag(scales)``."""
     rotation = to_matrix(q[0], q[1], q[2], q[3])
@@ -86,7 +86,7 @@ def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):
         g_rotations[i, k] = g_q[k]
 
 
-@kernel
+@inlined
 def _footprint_gradient(view, q, sigmas, focals_z, slopes, z, rows, g_rows, g_n):
     """Fill ``g_n`` (3, 3), the gradient of ``n = view @ rotation @ diag(scales)``.
 
@@ -108,7 +108,7 @@ def _footprint_gradient(view, q, sigmas, focals_z, slopes, z, rows, g_rows, g_n)
     return g_slope_x, g_slope_y, g_z
 
 
-@kernel
+@inlined
 def _sum_pairs(i, slots, pairs, sums):
     sums[:] = 0.0
     for slot in range(slots[i], slots[i + 1]):

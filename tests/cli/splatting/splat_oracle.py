@@ -21,7 +21,9 @@ class Expected:
     colour: NDArray[np.float64]
     alpha: NDArray[np.float64]
     depth: NDArray[np.float64]
+    median_depth: NDArray[np.float64]
     borderline: NDArray[np.bool_]
+    median_borderline: NDArray[np.bool_]
 
 
 def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -53,7 +55,11 @@ def frame_covariance(
 
 
 def draw(
-    gaussians: Gaussians, camera: Camera, background: tuple[float, ...], near: float
+    gaussians: Gaussians,
+    camera: Camera,
+    background: tuple[float, ...],
+    near: float,
+    antialias: bool = False,
 ) -> Expected:
     """The picture. All of the Gaussians must be finite."""
     means = gaussians.means.astype(np.float64)
@@ -61,18 +67,24 @@ def draw(
     xs, ys = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     shape = (camera.height, camera.width)
     colour, depth = np.zeros((*shape, 3)), np.zeros(shape)
-    transmittance, done, borderline = np.ones(shape), np.zeros(shape, bool), np.zeros(shape, bool)
+    median, transmittance = np.zeros(shape), np.ones(shape)
+    done, borderline, median_borderline = (np.zeros(shape, bool) for _ in range(3))
     for i in np.argsort(in_view[:, 2].astype(np.float32), kind="stable"):
         x, y, z = in_view[i]
         if z <= near:
             continue
         turn = rotation_matrix(gaussians.rotations[i].astype(np.float64))
         variances = gaussians.scales[i].astype(np.float64) ** 2
-        inverse = np.linalg.inv(frame_covariance(in_view[i], turn * variances @ turn.T, camera))
+        covariance = frame_covariance(in_view[i], turn * variances @ turn.T, camera)
+        inverse = np.linalg.inv(covariance)
+        opacity = np.float64(gaussians.opacities[i])
+        if antialias:  # as much light as without the dilation
+            sharp = np.linalg.det(covariance - 0.3 * np.eye(2))
+            opacity *= np.sqrt(max(sharp, 0) / np.linalg.det(covariance))
         dx = xs - (camera.fx * x / z + camera.cx)
         dy = ys - (camera.fy * y / z + camera.cy)
         power = inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2
-        alpha = np.minimum(0.99, np.float64(gaussians.opacities[i]) * np.exp(-0.5 * power))
+        alpha = np.minimum(0.99, opacity * np.exp(-0.5 * power))
         seen = (alpha >= 1 / 255) & ~done
         after = transmittance * (1 - alpha)
         borderline |= ~done & (np.abs(alpha * 255 - 1) < BAND)
@@ -81,8 +93,10 @@ def draw(
         weight = np.where(seen & ~done, alpha * transmittance, 0)
         colour += weight[..., None] * np.maximum(gaussians.colours[i].astype(np.float64), 0)
         depth += weight * z
+        median_borderline |= seen & (np.abs(transmittance - 0.5) < BAND)
+        median = np.where(seen & ~done & (transmittance > 0.5), z, median)
         transmittance = np.where(seen & ~done, after, transmittance)
     alpha = 1 - transmittance
     colour += transmittance[..., None] * np.array(background)
     depth = np.divide(depth, alpha, out=np.zeros(shape), where=alpha > 0)
-    return Expected(colour, alpha, depth, borderline)
+    return Expected(colour, alpha, depth, median, borderline, median_borderline)

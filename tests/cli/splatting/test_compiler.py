@@ -34,6 +34,30 @@ def test_kept_code_follows_the_modules_beside_it(tmp_path: Path):
     assert printed == [["20", "0"], ["20", "1"], ["30", "0"]]
 
 
+@pytest.mark.parametrize("damage", ["none", "cut", "garbage", "read-only"])
+def test_a_bad_cache_is_no_obstacle(tmp_path: Path, damage: str):
+    """A child draws with a cache that was damaged, or cannot be written, since the last run."""
+    (tmp_path / "kernels.py").write_text(
+        "import sys\nfrom styl3r_cli.splatting.compiler import kernel\n"
+        "@kernel\ndef double(x):\n    return 2 * x\n"
+        "if 'read-only' in sys.argv:\n"
+        "    def refuse(*a):\n        raise PermissionError(13, 'read-only')\n"
+        "    double._cache._cache_file.save = double._cache._cache_file.load = refuse\n"
+        "print(double(21), sum(double.stats.cache_hits.values()))\n"
+    )
+    printed = []
+    for _ in range(2):
+        command = [sys.executable, "-B", "-c", "import kernels", damage]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        printed.append(done.stdout.split())
+        for file in tmp_path.glob("__pycache__/*.nb?"):
+            data = file.read_bytes()
+            if damage in ("cut", "garbage"):
+                file.write_bytes(data[: len(data) // 2] if damage == "cut" else b"?" * len(data))
+    assert [numbers[0] for numbers in printed] == ["42", "42"]
+    assert (printed[1][1] == "1") == (damage == "none")
+
+
 @pytest.mark.parametrize("threads", [1, 3, None])
 @pytest.mark.parametrize("count", [0, 1, 5, 1000])
 def test_every_index_is_visited_once(count, threads):
@@ -43,8 +67,17 @@ def test_every_index_is_visited_once(count, threads):
         array[begin:end] += 1
 
     parallel_for(visit, count, threads, visits)
-    parallel_for(visit, count, threads, visits, min_parts=7)
-    assert (visits == 2).all()
+    costs = np.random.default_rng(count).integers(0, 9, count + 1).cumsum()
+    parallel_for(visit, count, threads, visits, costs=costs)
+    parallel_for(visit, count, threads, visits, costs=np.zeros(count + 1, int))
+    assert (visits == 3).all()
+
+
+def test_parts_cost_about_the_same():
+    sizes = []
+    costs = np.concatenate([[0], np.cumsum([1000, *[1] * 999])])
+    parallel_for(lambda begin, end: sizes.append(costs[end] - costs[begin]), 1000, 2, costs=costs)
+    assert max(sizes) <= 1000 + 1999 / 8
 
 
 def test_work_is_spread_over_threads():
