@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from styl3r_cli.cameras.camera import Camera
@@ -48,3 +49,9 @@ def uncropped(camera: Camera, width: int, height: int) -> Camera:
         width=width,
         height=height,
     )
+
+
+def with_fov(camera: Camera, degrees: float) -> Camera:
+    """The camera with another lens: square pixels, centred, and this horizontal field of view."""
+    focal = camera.width / 2 / math.tan(math.radians(degrees) / 2)
+    return replace(camera, fx=focal, fy=focal, cx=camera.width / 2, cy=camera.height / 2)

@@ -19,19 +19,19 @@ SMALL_ANGLE = 1e-6
 # A pose is a unit quaternion w x y z, the camera's centre, and its lens fx fy cx cy: 11 numbers.
 
 
-def catmull_rom(poses: Sequence[Array], t: float) -> Array:
-    """A smooth curve through four poses at times -1, 0, 1 and 2, at time ``t`` in [0, 1].
+def catmull_rom(poses: Sequence[Array], times: Array, t: float) -> Array:
+    """A smooth curve through four poses at four rising times; ``t`` lies between the middle two.
 
     Barry and Goldman's pyramid (SIGGRAPH 1988), which needs nothing but blends of two: it works
     on rotations as it does on points.
     """
-    times = (-1, 0, 1, 2)
     level = list(poses)
     for span in (1, 2):
         level = [
-            blend(level[i], level[i + 1], (t - times[i]) / span) for i in range(len(level) - 1)
+            blend(level[i], level[i + 1], (t - times[i]) / (times[i + span] - times[i]))
+            for i in range(len(level) - 1)
         ]
-    return blend(level[0], level[1], t)
+    return blend(level[0], level[1], (t - times[1]) / (times[2] - times[1]))
 
 
 def blend(a: Array, b: Array, t: float) -> Array:

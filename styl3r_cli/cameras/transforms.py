@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.json_values import load_object, number, rigid
 from styl3r_cli.errors import InputError
 from styl3r_cli.files import atomic_write
 
 # nerfstudio's cameras look along -z with y up (OpenGL); ours along z with y down (OpenCV).
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-# Files with six digits are off by 1e-6; a scaled or sheared matrix by far more.
-RIGID_TOLERANCE = 1e-3
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # distortion apart
 WRITTEN_MODEL = "OPENCV"  # nerfstudio's name for a perspective camera
@@ -33,11 +31,15 @@ class CameraFile:
         cameras: one per frame; the world is the file's own.
         file_paths: as many paths as the file names them, empty where it names none.
         notes: one line each on what was ignored.
+        fps: frames per second, if the file says.
+        loop: whether the last frame leads to the first, if the file says.
     """
 
     cameras: list[Camera]
     file_paths: list[str]
     notes: list[str]
+    fps: float | None = None
+    loop: bool | None = None
 
 
 def write_transforms(path: Path, cameras: Sequence[Camera], file_paths: Sequence[str]) -> None:
@@ -54,7 +56,7 @@ def write_transforms(path: Path, cameras: Sequence[Camera], file_paths: Sequence
     Raises:
         OutputError: the file cannot be written.
     """
-    frames = [_frame(*pair) for pair in zip(cameras, file_paths, strict=True)]
+    frames = [frame_entry(*pair) for pair in zip(cameras, file_paths, strict=True)]
     content = {"camera_model": WRITTEN_MODEL, "frames": frames}
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", "utf-8")
@@ -74,7 +76,7 @@ def read_transforms(source: Path | bytes, size: tuple[int, int] | None = None) -
         InputError: the file is missing or no transforms.json, a matrix is not rigid, or a lens is
             not a perspective one.
     """
-    name, content = _load(source)
+    name, content = load_object(source)
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames:
         hint = " (a nerfstudio camera path?)" if "camera_path" in content else ""
@@ -87,11 +89,13 @@ def read_transforms(source: Path | bytes, size: tuple[int, int] | None = None) -
         values = {**content, **frame}
         cameras.append(_camera(values, size, where))
         file_paths.append(str(frame.get("file_path", "")))
-        distorted += any(_number(values, key, where) for key in DISTORTION)
+        distorted += any(number(values, key, where) for key in DISTORTION)
     notes = []
     if distorted:
         notes.append(f"{name}: lens distortion in {distorted} frames is ignored; undistort first")
-    return CameraFile(cameras, file_paths, notes)
+    fps, loop = number(content, "fps", name), content.get("is_cycle")
+    fps = fps if fps and fps > 0 else None
+    return CameraFile(cameras, file_paths, notes, fps, loop if isinstance(loop, bool) else None)
 
 
 def cameras_of_photos(
@@ -131,7 +135,8 @@ def _common_end(photo: Path, file_path: str) -> int:
     return shared
 
 
-def _frame(camera: Camera, file_path: str) -> dict[str, Any]:
+def frame_entry(camera: Camera, file_path: str) -> dict[str, Any]:
+    """One camera as a frame of the file: camera-to-world, and its own intrinsics."""
     matrix = np.linalg.inv(camera.extrinsics) @ OPENGL_FROM_OPENCV
     return {
         "file_path": file_path,
@@ -145,20 +150,6 @@ def _frame(camera: Camera, file_path: str) -> dict[str, Any]:
     }
 
 
-def _load(source: Path | bytes) -> tuple[str, dict[str, Any]]:
-    name = "-" if isinstance(source, bytes) else str(source)
-    try:
-        data = source if isinstance(source, bytes) else source.read_bytes()
-        content = json.loads(data)
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{name}: not a JSON file: {error}") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{name}: expected nerfstudio's transforms.json, an object with 'frames'")
-    return name, content
-
-
 def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> Camera:
     model = values.get("camera_model", WRITTEN_MODEL)
     if model not in PINHOLES:
@@ -168,8 +159,8 @@ def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) ->
     fy = _focal(values, "fl_y", "camera_angle_y", height, where)
     if fx is None and fy is None:
         raise InputError(f"{where}: no focal length ('fl_x' or 'camera_angle_x')")
-    cx, cy = _number(values, "cx", where), _number(values, "cy", where)
-    pose = _rigid(values.get("transform_matrix"), where)
+    cx, cy = number(values, "cx", where), number(values, "cy", where)
+    pose = rigid(values.get("transform_matrix"), where)
     return Camera(
         extrinsics=np.linalg.inv(pose @ OPENGL_FROM_OPENCV).astype(np.float64),
         fx=fx or fy or 0.0,
@@ -182,7 +173,7 @@ def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) ->
 
 
 def _size(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> tuple[int, int]:
-    width, height = _number(values, "w", where), _number(values, "h", where)
+    width, height = number(values, "w", where), number(values, "h", where)
     if width is None or height is None:
         if size is None:
             raise InputError(f"{where}: no 'w' and 'h'; add the photos' size to the file")
@@ -192,42 +183,12 @@ def _size(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> t
     return int(width), int(height)
 
 
-def _number(values: dict[str, Any], key: str, where: str) -> float | None:
-    value = values.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{where}: '{key}' is {value!r}, not a number")
-    return float(value)
-
-
 def _focal(
     values: dict[str, Any], key: str, angle_key: str, side: float, where: str
 ) -> float | None:
-    focal, angle = _number(values, key, where), _number(values, angle_key, where)
+    focal, angle = number(values, key, where), number(values, angle_key, where)
     if focal is None and angle is not None and 0 < angle < math.pi:
         focal = side / 2 / math.tan(angle / 2)
     if focal is not None and focal <= 0:
         raise InputError(f"{where}: '{key}' is {focal:g}; a focal length is above 0")
     return focal
-
-
-def _rigid(matrix: Any, where: str) -> NDArray[np.float64]:
-    """A 4x4 (or 3x4) camera-to-world matrix with an exact rotation."""
-    try:
-        rows = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
-        rows = np.empty(0)
-    if rows.shape not in ((4, 4), (3, 4)) or not np.isfinite(rows).all():
-        raise InputError(f"{where}: 'transform_matrix' is not a 4x4 matrix of numbers")
-    if len(rows) == 4 and not np.allclose(rows[3], [0, 0, 0, 1], atol=RIGID_TOLERANCE):
-        raise InputError(f"{where}: the last row of 'transform_matrix' is not 0 0 0 1")
-    rotation = rows[:3, :3]
-    if np.abs(rotation.T @ rotation - np.eye(3)).max() > RIGID_TOLERANCE:
-        raise InputError(f"{where}: 'transform_matrix' is no rigid motion (scaled or sheared)")
-    if np.linalg.det(rotation) < 0:
-        raise InputError(f"{where}: 'transform_matrix' mirrors the scene")
-    left, _, right = np.linalg.svd(rotation)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = left @ right, rows[:3, 3]
-    return pose

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,9 +12,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.paths import PATHS, WOBBLE_SHIFT, default_camera, make_path
+from styl3r_cli.cameras.course import Course, frames_along
+from styl3r_cli.cameras.extent import Extent, quantiles
+from styl3r_cli.cameras.overview import default_camera
+from styl3r_cli.cameras.paths import PATHS, make_path
+from styl3r_cli.cameras.swings import WOBBLE_SHIFT
 from styl3r_cli.errors import UsageError
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.splatting import render
 
 
 def make_scene(near: float = 1.5, far: float = 6.0, unit: float = 1.0, seed: int = 0) -> Gaussians:
@@ -61,11 +67,11 @@ def test_a_path_loops_without_a_jump(name):
         Rotation.from_matrix((b.extrinsics @ np.linalg.inv(a.extrinsics))[:3, :3]).magnitude()
         for a, b in zip(path, path[1:] + path[:1], strict=True)
     ]
-    assert 0 < steps.max() < 0.06
+    assert 0 < steps.max() < 0.15
     # Seen from the last frame, the first is no farther than the frames around it are apart.
     assert steps[-1] <= 1.5 * max(steps[-2], steps[0])
     assert turns[-1] <= 1.5 * max(turns[-2], turns[0])
-    assert np.abs(np.diff(steps)).max() < 0.02
+    assert np.abs(np.diff(steps)).max() < 0.2 * steps.max()
 
 
 @pytest.mark.parametrize("name", PATHS)
@@ -99,7 +105,8 @@ def test_a_wobbles_parallax_is_visible_but_small(depths):
     kept = scene.means[:, 2] > np.percentile(scene.means[:, 2], 6)
     kept &= np.abs(scene.means[:, :2] / scene.means[:, 2:]).max(axis=1) < 0.2
     start = project(make_camera(), scene.means[kept])
-    shifts = [project(camera, scene.means[kept]) - start for camera in path]
+    lens = {"fx": 200.0, "fy": 200.0}  # the path's is a little longer, to hide the edges
+    shifts = [project(replace(camera, **lens), scene.means[kept]) - start for camera in path]
     largest = np.abs(shifts).max() / 200
     assert largest < 1.4 * WOBBLE_SHIFT
     assert largest > (0.4 * WOBBLE_SHIFT if depths != (1.9, 2.1) else 0.1 * WOBBLE_SHIFT)
@@ -147,10 +154,163 @@ def test_scenes_without_anything_to_look_at():
 
 def test_interpolate_passes_through_every_view():
     views = [make_camera((0, 10 * k, 3 * k), (0.2 * k, 0.05 * k * k, 0)) for k in range(5)]
-    # Eased, the path is a quarter of its way after a third of half a loop.
-    path = make_path("interpolate", views, make_scene(), 12)
-    for frame, view in [(0, 0), (2, 1), (3, 2), (4, 3), (6, 4), (8, 3), (9, 2), (10, 1)]:
-        np.testing.assert_allclose(path[frame].extrinsics, views[view].extrinsics, atol=1e-9)
+    path = make_path("interpolate", views, make_scene(), 2001, loop=False)
+    np.testing.assert_allclose(path[0].extrinsics, views[0].extrinsics, atol=1e-9)
+    np.testing.assert_allclose(path[-1].extrinsics, views[-1].extrinsics, atol=1e-9)
+    nearest = [min(np.abs(c.extrinsics - v.extrinsics).max() for c in path) for v in views]
+    assert max(nearest) < 1e-3
+    order = [int(np.argmin(np.linalg.norm(centres(path) - c, axis=1))) for c in centres(views)]
+    assert order == sorted(order)
+
+
+def test_unevenly_taken_views_are_passed_at_an_even_speed_without_detours():
+    """The quick turn between near views, and the crawl between far ones, of a uniform spline."""
+    places = [0.0, 0.02, 0.6, 0.65, 2.0]
+    views = [make_camera(centre=(x, 0, 0)) for x in places]
+    path = make_path("interpolate", views, make_scene(), 300, loop=False, eased=False)
+    steps = np.diff(centres(path)[:, 0])
+    assert (steps > 0).all()
+    np.testing.assert_allclose(steps, 2.0 / 299, rtol=0.02)
+
+
+def test_repeated_views_are_one_stop():
+    views = [VIEWS[0], VIEWS[1], VIEWS[1], VIEWS[2]]
+    twice, once = (make_path("interpolate", v, make_scene(), 50) for v in (views, VIEWS))
+    for a, b in zip(twice, once, strict=True):
+        np.testing.assert_array_equal(a.extrinsics, b.extrinsics)
+    still = make_path("interpolate", [VIEWS[1]] * 3, make_scene(), 4)
+    np.testing.assert_allclose(centres(still), centres([VIEWS[1]] * 4), atol=1e-12)
+
+
+def test_the_curve_and_its_speed_have_no_kinks():
+    """Sampled four times as finely, steps differ a quarter as much: a kink would stay."""
+    rng = np.random.default_rng(4)
+    views = [make_camera(rng.uniform(-20, 20, 3), rng.normal(size=3)) for _ in range(6)]
+
+    def roughness(frames):
+        path = make_path("interpolate", views, make_scene(), frames, loop=False, eased=False)
+        turns = [
+            Rotation.from_matrix((b.extrinsics @ np.linalg.inv(a.extrinsics))[:3, :3]).as_rotvec()
+            for a, b in pairwise(path)
+        ]
+        changes = []
+        for steps in (np.diff(centres(path), axis=0), np.array(turns)):
+            size = np.linalg.norm(steps, axis=1).mean()
+            changes.append(np.linalg.norm(np.diff(steps, axis=0), axis=1).max() / size)
+        return max(changes)
+
+    assert roughness(4000) < 0.4 * roughness(1000)
+
+
+def angles_around(path, target):
+    """(F,) azimuths of the cameras around a vertical axis through the target, degrees."""
+    arms = centres(path) - target
+    return np.degrees(np.unwrap(np.arctan2(arms[:, 0], -arms[:, 2])))
+
+
+def test_an_orbit_is_level_and_keeps_its_distance_and_its_middle():
+    scene = make_scene()
+    views = [make_camera((15, 0, 0)), make_camera((15, 20, 0), (-1.2, 0.0, 0.2))]
+    path = make_path("orbit", views, scene, 36, arc=np.radians(50))
+    middle = views[0]
+    depth = Extent.of(scene).depths(middle)[1]
+    target = np.linalg.inv(middle.extrinsics) @ [0, 0, depth, 1]
+    arms = centres(path) - target[:3]
+    np.testing.assert_allclose(np.linalg.norm(arms, axis=1), depth, rtol=1e-6)
+    assert (
+        np.ptp(centres(path)[:, 1]) < 0.03 * depth
+    )  # tilted down, it goes round level all the same
+    assert np.ptp(angles_around(path, target[:3])) == pytest.approx(50, abs=2)
+    for camera in path:
+        np.testing.assert_allclose(project(camera, target[None, :3]), [[100, 100]], atol=1e-6)
+
+
+def test_a_full_circle_has_the_whole_scene_in_every_frame():
+    rng = np.random.default_rng(2)
+    ball = rng.normal(size=(2000, 3)) * [1, 0.5, 2] + [3, 1, -4]
+    scene = replace(make_scene(), means=ball)
+    path = make_path("orbit", [], scene, 24)  # no views: a foreign scene, seen from all sides
+    assert np.ptp(angles_around(path, ball.mean(axis=0))) == pytest.approx(345, abs=3)
+    for camera in path:
+        pixels = project(camera, ball)
+        assert ((pixels >= 0) & (pixels <= 512)).all(axis=1).mean() > 0.97
+
+
+def test_views_from_all_sides_make_a_full_circle():
+    views = [make_camera((0, turn, 0), 4 * look(turn)) for turn in range(0, 360, 45)]
+    rng = np.random.default_rng(3)
+    scene = replace(make_scene(), means=rng.normal(0, 0.4, (2000, 3)))
+    assert np.ptp(angles_around(make_path("orbit", views, scene, 24), 0)) > 340
+    assert np.ptp(angles_around(make_path("orbit", views[:2], scene, 24), 0)) < 60
+
+
+def look(turn):
+    """Minus where a camera that is turned about the vertical looks."""
+    return -Rotation.from_euler("y", turn, degrees=True).as_matrix()[:, 2]
+
+
+@pytest.mark.parametrize("name", ["orbit", "spiral", "dolly", "wobble"])
+def test_a_movement_keeps_the_scene_in_frame_and_does_not_fly_into_it(name):
+    """A wall behind, and a post in front that a larger movement would run into."""
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([rng.uniform(-2, 2, (8000, 2)), np.full(8000, 4.0)])
+    post = np.column_stack([rng.normal(0, 0.05, 800), rng.uniform(-1, 1, 800), np.full(800, 1.2)])
+    means = np.concatenate([wall, post])
+    ones = np.ones((len(means), 3))
+    turns = np.tile([1.0, 0, 0, 0], (len(means), 1))
+    scene = Gaussians(means, 0.02 * ones, turns, np.ones(len(means)), ones)
+    views = [make_camera(centre=(x, 0, 0)) for x in (-1.5, 0.0, 1.5)]
+    for camera in make_path(name, views, scene, 24):
+        gaps = np.linalg.norm(post - np.linalg.inv(camera.extrinsics)[:3, 3], axis=1)
+        assert gaps.min() > 0.4
+        frame = render(
+            scene,
+            replace(camera, fx=camera.fx / 4, fy=camera.fy / 4, cx=25, cy=25, width=50, height=50),
+            threads=1,
+        )
+        assert (frame.alpha > 0.3).mean() > 0.9
+
+
+def test_floaters_do_not_count():
+    scene = make_scene()
+    stray = scene.select(np.arange(20))
+    stray = replace(stray, means=np.full((20, 3), 1e4), opacities=np.full(20, 0.3))
+    ghost = replace(stray, means=np.zeros((20, 3)), opacities=np.full(20, 0.05))
+    both = [
+        np.concatenate([getattr(part, name) for part in (scene, stray, ghost)])
+        for name in ("means", "scales", "rotations", "opacities", "colours")
+    ]
+    clean, dirty = Extent.of(scene), Extent.of(Gaussians(*both))
+    np.testing.assert_allclose(dirty.bounds(), clean.bounds(), atol=0.1)
+    assert dirty.clearance(make_camera()) == pytest.approx(clean.clearance(make_camera()), abs=0.05)
+    assert dirty.depths(make_camera()) == pytest.approx(clean.depths(make_camera()), rel=0.02)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30), st.integers(1, 4))
+def test_a_weight_counts_like_repetitions(values, times):
+    values = np.array(values)
+    shares = (0.0, 0.3, 0.5, 1.0)
+    weighted = quantiles(values, np.full(len(values), float(times)), shares)
+    assert weighted == pytest.approx(quantiles(values, np.ones(len(values)), shares), abs=1e-9)
+    assert weighted[2] == pytest.approx(np.median(values), rel=1e-9, abs=1e-9)
+    assert weighted[0] == values.min()
+    assert weighted[3] == values.max()
+
+
+def test_a_heavy_value_is_the_median():
+    assert quantiles(np.array([3.0, 1.0, 2.0]), np.array([10.0, 1, 1]), (0.6,)) == [3.0]
+
+
+def test_once_through_or_there_and_back_eased_or_even():
+    course = Course(lambda place: make_camera(centre=(place, 0, 0)), closed=False, eased=True)
+
+    def places(**how):
+        return centres(frames_along(course, 8, **how))[:, 0]
+
+    np.testing.assert_allclose(places(loop=False, eased=False), np.arange(8) / 7)
+    np.testing.assert_allclose(places(eased=False), [0, 0.25, 0.5, 0.75, 1, 0.75, 0.5, 0.25])
+    np.testing.assert_allclose(places(), 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(8) / 8))
+    np.testing.assert_allclose(places(loop=False), 0.5 - 0.5 * np.cos(np.pi * np.arange(8) / 7))
 
 
 def test_between_two_views_it_is_slerp_and_a_line():

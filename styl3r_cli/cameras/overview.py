@@ -1,0 +1,70 @@
+"""Reference cameras of a scene: the one to start from, and which way is up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras import poses
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.extent import FARTHEST, Extent, quantiles
+from styl3r_cli.gaussians import Gaussians
+
+Array = NDArray[np.float64]
+
+# The frame and field of view of a scene that came without cameras.
+DEFAULT_SIZE = 512
+SMALLEST_FOV, LARGEST_FOV = math.radians(25), math.radians(90)
+# Photos are taken level to about 6 degrees (0.1): so far their x axes are trusted.
+LEVEL = 0.1
+
+
+def default_camera(
+    gaussians: Gaussians, width: int = DEFAULT_SIZE, height: int = DEFAULT_SIZE
+) -> Camera:
+    """A camera for a scene that came without: the world's origin, looking along +z.
+
+    That is the first view in the scenes made here; the field of view takes in most of what lies
+    in front. In a foreign scene that lies elsewhere, the camera steps back until it sees it.
+    """
+    extent = Extent.of(gaussians)
+    means, weights = extent.means, extent.weights
+    extrinsics = np.eye(4)
+    if len(means) and quantiles(means[:, 2], weights, (0.5,))[0] <= 0:
+        middle = np.array([quantiles(axis, weights, (0.5,))[0] for axis in means.T])
+        distances = np.linalg.norm(means - middle, axis=1)
+        radius = quantiles(distances, weights, (FARTHEST,))[0]
+        extrinsics[:3, 3] = [0, 0, 2 * radius] - middle
+    in_view = means @ extrinsics[:3, :3].T + extrinsics[:3, 3]
+    ahead = in_view[:, 2] > 0
+    slope = math.tan(SMALLEST_FOV / 2)
+    if ahead.any():
+        slopes = np.abs(in_view[ahead, :2] / in_view[ahead, 2:] / [width, height]).max(axis=1)
+        widest = quantiles(slopes, weights[ahead], (FARTHEST,))[0]
+        slope = max(slope, max(width, height) * widest)
+    focal = max(width, height) / 2 / min(slope, math.tan(LARGEST_FOV / 2))
+    return Camera(extrinsics, focal, focal, width / 2, height / 2, width, height)
+
+
+def middle_camera(cameras: Sequence[Camera]) -> Camera:
+    """The camera nearest to the middle of all of them; the first of equals."""
+    centres = np.array([poses.centre(camera.extrinsics) for camera in cameras])
+    distances = np.linalg.norm(centres - centres.mean(axis=0), axis=1)
+    return cameras[int(np.argmax(distances <= distances.min() * (1 + 1e-6)))]
+
+
+def downwards(cameras: Sequence[Camera]) -> Array:
+    """(3,) unit vector, world frame: which way is down, as far as the cameras tell.
+
+    Near their mean y axis, and as orthogonal as possible to their x axes, which people keep level
+    also where they tilt the camera up or down (least squares with a prior).
+    """
+    rotations = np.array([camera.extrinsics[:3, :3] for camera in cameras])
+    prior = rotations[:, 1].mean(axis=0)
+    level = rotations[:, 0].T @ rotations[:, 0] / len(cameras)
+    down = np.linalg.solve(level + LEVEL**2 * np.eye(3), prior)
+    length = np.linalg.norm(down)
+    return down / length if length > 0 else rotations[0, 1]
