@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,13 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.errors import OutputError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.video import frame_rate
 
 if TYPE_CHECKING:
     from styl3r_cli.splatting import Frame
 
+# All but DWAA and DWAB, which blur colours a little to a fraction of the size, keep every bit.
+COMPRESSIONS = ("zip", "zips", "piz", "rle", "none", "dwaa", "dwab")
 # Depth where there is nothing: what Blender writes. Far behind everything for a depth merge, and
 # unlike infinity it survives a filter that multiplies it by 0.
 EMPTY_DEPTH = 1e10
@@ -31,8 +35,27 @@ OFFSET, EXPONENT = 0.055, 2.4
 EXR_FROM_OPENCV = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
-def write_exr(path: Path, frame: Frame, camera: Camera, provenance: Mapping[str, str]) -> None:
-    """Write one frame: R, G, B, A as half floats and Z as float, ZIP-compressed scan lines.
+@dataclass(frozen=True)
+class ExrOptions:
+    """How frames are stored.
+
+    Attributes:
+        compression: one of COMPRESSIONS.
+        multi_part: colours and depth in parts of their own ("rgba", "depth") instead of one part,
+            which every reader opens.
+        fps: frames per second of the sequence.
+        provenance: what made the frame, by name, as text; the standard attribute `comments` gets
+            it too, in one line.
+    """
+
+    compression: str = "zip"
+    multi_part: bool = False
+    fps: float | None = None
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+
+def write_exr(path: Path, frame: Frame, camera: Camera, options: ExrOptions) -> None:
+    """Write one frame: R, G, B, A as half floats and Z as float, in scan lines.
 
     Colours are scene-linear Rec. 709, multiplied by alpha. Gaussians are blended in sRGB, so the
     blend is divided by alpha, made linear, and multiplied by alpha again. Z is the mean distance
@@ -43,34 +66,62 @@ def write_exr(path: Path, frame: Frame, camera: Camera, provenance: Mapping[str,
         path: where to write.
         frame: rendered without a background.
         camera: the frame's.
-        provenance: attributes by name, as text.
+        options: how to store it.
 
     Raises:
         OutputError: the file cannot be written.
     """
     import OpenEXR
 
-    header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
+    header = _header(camera, options)
+    colour, depth = _colour_channels(frame), {"Z": _depth(frame)}
+    if options.multi_part:
+        parts = [
+            OpenEXR.Part(dict(header), colour, "rgba"),
+            OpenEXR.Part(dict(header), depth, "depth"),
+        ]
+        file = OpenEXR.File(parts)
+    else:
+        file = OpenEXR.File(header, colour | depth)
+    with atomic_write(path) as temporary:
+        try:
+            file.write(str(temporary))
+        except RuntimeError as error:  # the library's own; its message names the temporary file
+            raise OutputError(f"cannot write {path}: OpenEXR failed (is the disk full?)") from error
+
+
+def _header(camera: Camera, options: ExrOptions) -> dict[str, Any]:
+    import OpenEXR
+
+    told = options.provenance
+    compression = "NO" if options.compression == "none" else options.compression.upper()
+    header: dict[str, Any] = {
+        "compression": getattr(OpenEXR, f"{compression}_COMPRESSION"),
         "type": OpenEXR.scanlineimage,
         "chromaticities": REC709,
         "colorInteropID": COLOUR_SPACE,
         "worldToCamera": _row_vectors(EXR_FROM_OPENCV @ camera.extrinsics),
         "worldToNDC": _row_vectors(_projection(camera) @ camera.extrinsics),
-        **provenance,
+        **told,
     }
+    if told:
+        header["comments"] = "; ".join(f"{name}: {value}" for name, value in told.items())
+    if options.fps is not None:
+        header["framesPerSecond"] = frame_rate(options.fps)
+    return header
+
+
+def _colour_channels(frame: Frame) -> dict[str, NDArray[np.float16]]:
     colour = linear_premultiplied(frame.colour, frame.alpha).clip(0, LARGEST_HALF)
-    channels: dict[str, NDArray[np.float16] | FloatArray] = {
+    channels = {
         name: np.ascontiguousarray(colour[..., index], np.float16)
         for index, name in enumerate("RGB")
     }
-    channels["A"] = frame.alpha.astype(np.float16)
-    channels["Z"] = np.where(frame.alpha > 0, frame.depth, np.float32(EMPTY_DEPTH))
-    with atomic_write(path) as temporary:
-        try:
-            OpenEXR.File(header, channels).write(str(temporary))
-        except RuntimeError as error:  # the library's own; its message names the temporary file
-            raise OutputError(f"cannot write {path}: OpenEXR failed (is the disk full?)") from error
+    return channels | {"A": frame.alpha.astype(np.float16)}
+
+
+def _depth(frame: Frame) -> FloatArray:
+    return np.where(frame.alpha > 0, frame.depth, np.float32(EMPTY_DEPTH))
 
 
 def linear_premultiplied(colour: FloatArray, alpha: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ import os
 import secrets
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -61,21 +61,37 @@ def write_stdout(data: bytes) -> None:
         UsageError: standard output is a terminal, which binary data would garble.
         OutputError: the reading end has gone, or the device is full.
     """
+    with stdout_stream() as write:
+        write(data)
+
+
+@contextmanager
+def stdout_stream() -> Iterator[Callable[[bytes], None]]:
+    """A function that writes binary data to standard output, for results that come in parts.
+
+    Raises:
+        UsageError: standard output is a terminal, which binary data would garble.
+        OutputError: the reading end has gone, or the device is full.
+    """
     if sys.stdout.isatty():
         raise UsageError(
             "-o -: standard output is a terminal; pipe it into a program or redirect it to a file"
         )
-    try:
-        _write_all(sys.stdout.buffer, data)
-        sys.stdout.buffer.flush()
-    except BrokenPipeError as error:
-        # The interpreter flushes stdout again at exit; give it somewhere harmless to do so.
-        with suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        message = "-o -: the program that reads standard output closed it early"
-        raise OutputError(message) from error
-    except OSError as error:
-        raise OutputError(_cannot_write("standard output", error)) from error
+
+    def write(data: bytes) -> None:
+        try:
+            _write_all(sys.stdout.buffer, data)
+            sys.stdout.buffer.flush()
+        except BrokenPipeError as error:
+            # The interpreter flushes stdout again at exit; give it somewhere harmless to do so.
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            message = "-o -: the program that reads standard output closed it early"
+            raise OutputError(message) from error
+        except OSError as error:
+            raise OutputError(_cannot_write("standard output", error)) from error
+
+    yield write
 
 
 def _write_all(stream: IO[bytes], data: bytes) -> None:

@@ -8,12 +8,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.poses import blend, from_camera, to_camera
 from styl3r_cli.contact_sheet import Cell, Row, draw_sheet
+from styl3r_cli.depth_colours import SOLID, colour_depths
 from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, enlarged, to_picture
 from styl3r_cli.gaussians import FloatArray, Gaussians
@@ -21,10 +21,6 @@ from styl3r_cli.photos.load import spread
 
 MOST_VIEWS = 4  # more columns than this get too small to judge on a screen
 CELL = 256  # pixels of a picture's longer side, at least
-# Depth colours span all but this share of the pixels at each end, which floaters and sky take.
-DEPTH_TAIL = 2.0  # percent
-SOLID = 0.5  # where less of the background is hidden there is no depth to show
-EMPTY = 40  # grey level of such pixels
 
 
 @dataclass(frozen=True)
@@ -94,35 +90,6 @@ def _rows(preview: Preview, threads: int | None) -> list[Row]:
         rows.append(Row("In its own colours", _cells(pictures, captions)))
     rows.append(Row("Depth (red is near, blue is far)", _cells(depths, captions)))
     return rows
-
-
-def colour_depths(
-    depths: Sequence[FloatArray], solid: Sequence[NDArray[np.bool_]]
-) -> list[Picture]:
-    """Depth maps in turbo's colours, red near and blue far, on one scale for all of them.
-
-    The scale is that of 1 / depth, which is what parallax shows; it spans all but a few percent.
-
-    Args:
-        depths: (H, W) each, in scene units.
-        solid: where there is a depth; elsewhere the picture is dark grey.
-    """
-    import cv2
-
-    nearness = [
-        np.divide(1, depth, out=np.zeros_like(depth), where=mask & (depth > 0))
-        for depth, mask in zip(depths, solid, strict=True)
-    ]
-    seen = np.concatenate([n[mask] for n, mask in zip(nearness, solid, strict=True)])
-    low, high = np.percentile(seen, [DEPTH_TAIL, 100 - DEPTH_TAIL]) if seen.size else (0.0, 1.0)
-    span = max(high - low, 1e-12)
-    pictures = []
-    for values, mask in zip(nearness, solid, strict=True):
-        levels = np.rint(np.clip((values - low) / span, 0, 1) * 255).astype(np.uint8)
-        picture = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1].copy()
-        picture[~mask] = EMPTY
-        pictures.append(picture)
-    return pictures
 
 
 def _cells(pictures: Sequence[Picture], captions: Sequence[str]) -> list[Cell]:

@@ -1,30 +1,64 @@
-"""Videos that play anywhere: H.264 in MP4, written as the frames come."""
+"""Videos as FFmpeg encodes them, written as the frames come: MP4, WebM and animated WebP."""
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Iterable
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.errors import OutputError, UsageError
-from styl3r_cli.files import atomic_write
 
 if TYPE_CHECKING:
     import av
 
-# x264's constant quality; 18 is commonly taken as visually lossless (its default, 23, smears the
-# brush strokes of a stylized scene).
-QUALITY = 18
 
-# What x264's "preset" trades: "veryfast" encodes faster than frames are rendered.
-PRESET = "veryfast"
+@dataclass(frozen=True)
+class Codec:
+    """How FFmpeg is to encode one kind of file.
+
+    Attributes:
+        container: FFmpeg's name of the file format.
+        encoder: FFmpeg's name of the encoder.
+        pixels: pixel format of pictures without and with alpha; empty where there is no alpha.
+        options: of the encoder.
+        container_options: of the file format.
+    """
+
+    container: str
+    encoder: str
+    pixels: tuple[str, str]
+    options: dict[str, str]
+    container_options: dict[str, str]
+
+
+CODECS = {
+    # x264's constant quality 18 is commonly taken as visually lossless (its default, 23, smears
+    # the brush strokes of a stylized scene), and "veryfast" encodes faster than frames are drawn.
+    # faststart moves the index to the front, so that a browser plays while it loads.
+    "mp4": Codec(
+        "mp4",
+        "libx264",
+        ("yuv420p", ""),
+        {"crf": "18", "preset": "veryfast"},
+        {"movflags": "+faststart"},
+    ),
+    # VP9's constant quality (its bit rate must be 0 for that); 24 of 63 looks as the above does.
+    # cpu-used 4 is libvpx's compromise for offline work; bitexact leaves out a random identifier.
+    "webm": Codec(
+        "webm",
+        "libvpx-vp9",
+        ("yuv420p", "yuva420p"),
+        {"crf": "24", "b": "0", "deadline": "good", "cpu-used": "4", "row-mt": "1"},
+        {"fflags": "+bitexact"},
+    ),
+    # WebP's own quality scale, to 100; the file loops without end.
+    "webp": Codec("webp", "libwebp_anim", ("bgra", "bgra"), {"quality": "85"}, {"loop": "0"}),
+}
 
 # Code points of ITU-T H.273 for BT.709, which is what players assume of HD: without the tags some
 # take small videos for BT.601, and reds and greens shift.
@@ -33,64 +67,56 @@ LIMITED_RANGE = 1  # FFmpeg's AVCOL_RANGE_MPEG, 16 to 235
 
 # Frame rates are stored as fractions; this denominator keeps 30000/1001 and the like exact.
 LARGEST_DENOMINATOR = 100_000
+# 29.97 is meant to be 30000/1001; so are 23.976 and 23.98.
+NTSC_ROUNDING = 0.005
 
 Picture = NDArray[np.uint8]
 
 
 def write_video(
-    destination: str | os.PathLike[str] | IO[bytes], frames: Iterable[Picture], fps: float
+    path: Path, frames: Iterable[Picture], fps: float, kind: str = "mp4", name: str = ""
 ) -> int:
-    """Write an MP4 that browsers, phones and editors play (H.264, yuv420p, BT.709, faststart).
+    """Write a video: MP4 that plays everywhere, WebM or animated WebP.
 
-    Frames are encoded as they are produced, so a generator keeps memory small. A frame with an odd
-    width or height is padded to even by repeating its last column or row, as yuv420p requires.
-    A file appears under its name only when it is whole.
+    MP4 is H.264, yuv420p, BT.709, faststart. Frames are encoded as they are produced, so a
+    generator keeps memory small. A frame with an odd width or height is padded to even by
+    repeating its last column or row where yuv420p requires that.
 
     Args:
-        destination: a path, or a binary file object (a pipe will do), which gets all at the end.
-        frames: (H, W, 3) uint8 sRGB, all of one size.
+        path: where to write, directly.
+        frames: (H, W, 3) uint8 sRGB, or (H, W, 4) with straight alpha, all of one size.
         fps: frames per second.
+        kind: one of CODECS.
+        name: what messages call the file; by default the path.
 
     Returns:
         How many frames were written.
 
     Raises:
-        UsageError: if there are no frames or the frame rate is not above 0.
+        UsageError: if there are no frames, the frame rate is not above 0, or the format has no
+            alpha.
         OutputError: if the file cannot be written.
-        ValueError: if a frame is not (H, W, 3) uint8 or has another size than the first.
+        ValueError: if a frame is not (H, W, 3 or 4) uint8 or has another size than the first.
     """
-    if not 0 < fps < float("inf"):
-        raise UsageError(f"a video of {fps} frames per second cannot play; give a rate above 0")
-    rate = Fraction(fps).limit_denominator(LARGEST_DENOMINATOR)
-    if isinstance(destination, (str, os.PathLike)):
-        with atomic_write(Path(destination)) as temporary:
-            return _encode(temporary, frames, rate, str(destination))
-    # Moving the index to the front needs a file that FFmpeg can open a second time.
-    with TemporaryDirectory(prefix="styl3r-") as folder:
-        path = Path(folder) / "video.mp4"
-        count = _encode(path, frames, rate, "the video")
-        with path.open("rb") as file:
-            shutil.copyfileobj(file, destination)
-    return count
-
-
-def _encode(path: Path, frames: Iterable[Picture], rate: Fraction, name: str) -> int:
     import av
 
+    codec, rate, name = CODECS[kind], frame_rate(fps), name or str(path)
     count = 0
     try:
-        # faststart moves the index to the front, so that a browser plays while it loads.
-        options = {"movflags": "+faststart"}
-        with av.open(str(path), "w", format="mp4", options=options) as container:
+        options = codec.container_options
+        with av.open(str(path), "w", format=codec.container, options=options) as container:
             stream: Any = None
             shape: tuple[int, ...] = ()
-            for picture in frames:
-                padded = _padded(_checked(picture))
+            for picture in checked(frames):
+                padded = _padded(picture) if "420" in codec.pixels[0] else picture
                 if stream is None:
-                    stream, shape = _open_stream(container, rate, padded.shape), picture.shape
+                    stream, shape = (
+                        _open_stream(container, codec, rate, padded.shape),
+                        picture.shape,
+                    )
                 if picture.shape != shape:
                     raise ValueError(f"frame {count} has another size than the first")
-                container.mux(stream.encode(_to_yuv(padded)))
+                container.mux(stream.encode(_to_frame(padded, stream.pix_fmt)))
                 count += 1
             if stream is None:
                 raise UsageError(f"{name}: a video needs at least one frame")
@@ -100,32 +126,63 @@ def _encode(path: Path, frames: Iterable[Picture], rate: Fraction, name: str) ->
     return count
 
 
-def _open_stream(container: av.container.OutputContainer, rate: Fraction, shape: Any) -> Any:
-    options = {"crf": str(QUALITY), "preset": PRESET}
-    stream: Any = container.add_stream("libx264", rate=rate, options=options)
+def frame_rate(fps: float) -> Fraction:
+    """Frames per second as the fraction that is stored.
+
+    Raises:
+        UsageError: if it is not above 0.
+    """
+    if not 0 < fps < float("inf"):
+        raise UsageError(f"a video of {fps} frames per second cannot play; give a rate above 0")
+    rate = Fraction(fps).limit_denominator(LARGEST_DENOMINATOR)
+    for ntsc in (Fraction(1000 * whole, 1001) for whole in (24, 30, 48, 60, 120)):
+        if abs(fps - ntsc) < NTSC_ROUNDING:
+            return ntsc
+    return rate
+
+
+def checked(frames: Iterable[Picture]) -> Iterable[Picture]:
+    """The same frames, each looked at before it is encoded.
+
+    Raises:
+        ValueError: one is no picture.
+    """
+    for picture in frames:
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] not in (3, 4):
+            raise ValueError(f"a frame is (H, W, 3) uint8, not {picture.shape} {picture.dtype}")
+        yield picture
+
+
+def _open_stream(
+    container: av.container.OutputContainer, codec: Codec, rate: Fraction, shape: Any
+) -> Any:
+    pixels = codec.pixels[shape[2] == 4]
+    if not pixels:
+        raise UsageError(f"{codec.container} has no alpha; give a --background, or make a .webm")
+    stream: Any = container.add_stream(codec.encoder, rate=rate, options=codec.options)
     stream.height, stream.width = shape[:2]
-    stream.pix_fmt = "yuv420p"
-    context = stream.codec_context
-    context.colorspace = context.color_primaries = context.color_trc = BT709
-    context.color_range = LIMITED_RANGE
+    stream.pix_fmt = pixels
+    if pixels.startswith("yuv"):
+        context = stream.codec_context
+        context.colorspace = context.color_primaries = context.color_trc = BT709
+        context.color_range = LIMITED_RANGE
+    if pixels == "yuva420p":
+        stream.metadata["ALPHA_MODE"] = "1"  # where WebM says that there is alpha
     return stream
 
 
-def _to_yuv(picture: Picture) -> av.VideoFrame:
+def _to_frame(picture: Picture, pixels: str) -> av.VideoFrame:
     import av
 
-    frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+    form = "rgba" if picture.shape[2] == 4 else "rgb24"
+    frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format=form)
+    if not pixels.startswith("yuv"):
+        return frame.reformat(format=pixels)
     frame = frame.reformat(
-        format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG", interpolation="BICUBIC"
+        format=pixels, dst_colorspace="ITU709", dst_color_range="MPEG", interpolation="BICUBIC"
     )
     frame.color_primaries = frame.color_trc = BT709
     return frame
-
-
-def _checked(picture: Picture) -> Picture:
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
-        raise ValueError(f"a frame is (H, W, 3) uint8, not {picture.shape} {picture.dtype}")
-    return picture
 
 
 def _padded(picture: Picture) -> Picture:

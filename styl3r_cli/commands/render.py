@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import click
 
@@ -22,10 +22,24 @@ Draw a scene along a camera path, or from the cameras of a file.
 
 \b
   styl3r render scene.ply -o scene.mp4
-  styl3r render scene.ply --path interpolate --frames 240 --size 1280x720 -o tour.mp4
+  styl3r render scene.ply --path orbit --frames 240 --size 1280x720 -o tour.webm
+  styl3r render scene.ply --compare original.ply --layout wipe -o wipe.mp4
+  styl3r render scene.ply --show depth -o depth.mp4
   styl3r render scene.ply --cameras transforms.json -o views/%04d.png
-  styl3r render scene.ply -o frames/%04d.exr
+  styl3r render scene.ply --path dolly --once -o frames/%04d.exr
+  styl3r render scene.ply -o - --format y4m | ffmpeg -i - scene.mkv
   styl3r stylize photos/ --style art.jpg -o - | styl3r render - -o scene.mp4
+
+\b
+Paths:
+  wobble       a small swing around the middle view (the default)
+  interpolate  through all views, in their order
+  orbit        around the scene's middle: as far as the views go, or a full circle
+  spiral       growing and shrinking rounds, in and out
+  dolly        straight ahead into the scene
+  FILE         a camera path or transforms.json of nerfstudio: each camera is a frame, and with
+               --frames they are the stops of a path at constant speed
+They are as large as the scene allows: it stays in the frame, and the camera out of it.
 
 EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and the camera.
 """
@@ -37,15 +51,17 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     "--output",
     "-o",
     required=True,
-    metavar="OUT.mp4|DIR/%04d.png|DIR/%04d.exr|-",
-    help="A video, or numbered frames; '-' writes the video to standard output.",
+    metavar="OUT.mp4|DIR/%04d.png|-",
+    help="A video (.mp4 .webm .gif .webp .y4m), or numbered frames (.png .jpg .exr); '-' writes "
+    "to standard output.",
 )
 @click.option(
-    "--path",
-    "path_name",
-    type=click.Choice(["wobble", "interpolate"]),
-    help="How the camera moves: a small swing (the default), or through all views and back.",
+    "--format",
+    type=click.Choice(["mp4", "webm", "gif", "webp", "y4m", "rgb", "png", "jpg", "exr"]),
+    help="What to write, where the name does not say; rgb is raw pixels. Through a pipe, y4m, rgb "
+    "and png go out frame by frame.",
 )
+@click.option("--path", metavar="NAME|FILE", help="How the camera moves; see above.")
 @click.option(
     "--cameras",
     type=UserPath(),
@@ -54,14 +70,41 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     "By default the views that styl3r stores in its scenes.",
 )
 @click.option(
+    "--save-path",
+    type=UserPath(),
+    metavar="OUT.json",
+    help="Write the frames' cameras, for nerfstudio and for --path.",
+)
+@click.option(
     "--frames", type=click.IntRange(min=1), help=f"Frames of a path; {LOOP_FRAMES} by default."
 )
 @click.option(
     "--fps",
     type=click.FloatRange(min=0, min_open=True, max=1000),
-    default=LOOP_FPS,
+    help=f"Frames per second; {LOOP_FPS:g} by default, or what a camera path says.",
+)
+@click.option(
+    "--loop/--once",
+    default=True,
+    help="Come back to the first frame (the default), or go to the path's end and stop.",
+)
+@click.option(
+    "--speed",
+    type=click.Choice(["eased", "constant"]),
+    help="Slow at the ends or the same throughout; by default as suits the path.",
+)
+@click.option(
+    "--amplitude",
+    type=click.FloatRange(min=0, min_open=True, max=100),
+    default=1.0,
     show_default=True,
-    help="Frames per second of a video.",
+    help="How far to move, as a multiple of what suits the scene.",
+)
+@click.option(
+    "--arc",
+    type=click.FloatRange(min=0, min_open=True, max=360),
+    metavar="DEGREES",
+    help="How far an orbit goes, whatever that shows; 360 is a full circle.",
 )
 @click.option(
     "--size",
@@ -70,39 +113,73 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     help="Frame size; by default the camera file's, else the longer side has 512 pixels.",
 )
 @click.option(
+    "--fov",
+    type=click.FloatRange(1, 170),
+    metavar="DEGREES",
+    help="Horizontal field of view of the frames; by default the views'.",
+)
+@click.option(
     "--background",
     metavar="COLOUR",
     help="What is behind the scene: a name, #rrggbb or rgb(r,g,b); by default black. "
-    "EXR frames keep their alpha instead.",
+    "'transparent' for .png, .webp and .webm; EXR frames keep their alpha anyway.",
+)
+@click.option(
+    "--compare",
+    type=UserPath(),
+    metavar="OTHER.ply",
+    help="Another scene to show with this one, on its left: the photos' own colours, say.",
+)
+@click.option(
+    "--layout",
+    type=click.Choice(["side", "wipe"]),
+    default="side",
+    show_default=True,
+    help="Two scenes side by side, or one picture that a moving line parts.",
+)
+@click.option(
+    "--show",
+    type=click.Choice(["colour", "depth", "both"]),
+    default="colour",
+    show_default=True,
+    help="The scene, its depth on one scale for all frames, or both side by side.",
+)
+@click.option(
+    "--colour-map",
+    type=click.Choice(["turbo", "inferno", "viridis", "grey"]),
+    default="turbo",
+    show_default=True,
+    help="The colours of depth; near is bright (red in turbo).",
+)
+@click.option(
+    "--exr-compression",
+    type=click.Choice(["zip", "zips", "piz", "rle", "none", "dwaa", "dwab"]),
+    default="zip",
+    show_default=True,
+    help="Of EXR frames; only dwaa and dwab lose anything.",
+)
+@click.option(
+    "--exr-parts",
+    type=click.Choice(["single", "multi"]),
+    default="single",
+    show_default=True,
+    help="Colour and depth in one part, which every program reads, or in one each.",
 )
 @threads_option
 @quiet_option
-def command(
-    scene: str,
-    output: str,
-    path_name: str | None,
-    cameras: Path | None,
-    frames: int | None,
-    fps: float,
-    size: tuple[int, int] | None,
-    background: str | None,
-    threads: int | None,
-    quiet: bool,
-) -> None:
+def command(speed: str | None, quiet: bool, **options: Any) -> None:
     """Draw a scene along a camera path, or from the cameras of a file."""
-    from styl3r_cli.commands.filming import RenderRequest, film
+    from styl3r_cli.commands.filming import film
+    from styl3r_cli.commands.render_request import RenderRequest
 
-    if frames is not None and cameras is not None and path_name is None:
+    path, cameras = options.pop("path"), options["cameras"]
+    if options["frames"] is not None and cameras is not None and path is None:
         raise click.UsageError("--frames needs --path; a camera file alone has its own frames")
-    request = RenderRequest(
-        scene=scene,
-        output=output,
-        path=path_name or (DEFAULT_PATH if cameras is None else None),
-        cameras=cameras,
-        frames=frames or LOOP_FRAMES,
-        fps=fps,
-        size=size,
-        background=background,
-        threads=threads,
-    )
-    film(request, quiet)
+    if options["arc"] is not None and path != "orbit":
+        raise click.UsageError("--arc is for --path orbit")
+    if options["compare"] and options["show"] == "both":
+        raise click.UsageError("--show both has no room for --compare; show colour or depth")
+    if path is None and cameras is None:
+        path = DEFAULT_PATH
+    eased = None if speed is None else speed == "eased"
+    film(RenderRequest(path=path, eased=eased, **options), quiet)

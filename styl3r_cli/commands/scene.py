@@ -106,14 +106,14 @@ def _film(
     """One loop of a camera swing."""
     from styl3r_cli.cameras.paths import make_path
     from styl3r_cli.frames import draw_path, enlarged
-    from styl3r_cli.video import write_video
+    from styl3r_cli.movies import write_movie
 
     assert request.video is not None
     views = [enlarged(camera, VIDEO_SIDE) for camera in recovered.cameras]
     cameras = make_path(VIDEO_PATH, views, gaussians, LOOP_FRAMES)
     with console.stage("video", len(cameras)) as drawn:
         frames = draw_path(gaussians, cameras, threads=request.threads, drawn=drawn)
-        write_video(request.video, frames, LOOP_FPS)
+        write_movie(request.video, frames, LOOP_FPS, request.video.suffix.lower()[1:])
 
 
 def _draw_sheet(

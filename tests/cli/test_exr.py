@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
+import av
+import cv2
 import numpy as np
 import OpenEXR
 import pytest
@@ -14,10 +22,11 @@ from styl3r_cli import exr, main
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.stored import cameras_to_metadata
 from styl3r_cli.errors import OutputError
+from styl3r_cli.exr import ExrOptions
 from styl3r_cli.formats import write_scene
 from styl3r_cli.frames import to_picture
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.splatting import Frame, render
+from styl3r_cli.splatting import render
 
 
 def turned_camera() -> Camera:
@@ -56,7 +65,7 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 def test_layout(gaussians: Gaussians, tmp_path: Path) -> None:
     camera = turned_camera()
     frame = render(gaussians, camera, None)
-    exr.write_exr(tmp_path / "a.exr", frame, camera, {"software": "test"})
+    exr.write_exr(tmp_path / "a.exr", frame, camera, ExrOptions(provenance={"software": "test"}))
     channels, header = read(tmp_path / "a.exr")
     assert {name: values.dtype for name, values in channels.items()} == {
         **dict.fromkeys("RGBA", np.float16),
@@ -94,7 +103,7 @@ def test_frames_agree_with_the_pictures(gaussians: Gaussians, tmp_path: Path) ->
 def test_depth_is_far_where_nothing_is(gaussians: Gaussians, tmp_path: Path) -> None:
     camera = turned_camera()
     frame = render(gaussians, camera, None)
-    exr.write_exr(tmp_path / "a.exr", frame, camera, {})
+    exr.write_exr(tmp_path / "a.exr", frame, camera, ExrOptions())
     channels, _ = read(tmp_path / "a.exr")
     empty = frame.alpha == 0
     assert empty.any()
@@ -114,7 +123,7 @@ def test_matrices_find_a_gaussian(tmp_path: Path) -> None:
         colours=np.ones((1, 3)),
     )
     camera = turned_camera()
-    exr.write_exr(tmp_path / "a.exr", render(dot, camera, None), camera, {})
+    exr.write_exr(tmp_path / "a.exr", render(dot, camera, None), camera, ExrOptions())
     channels, header = read(tmp_path / "a.exr")
     alpha = channels["A"].astype(np.float64)
     rows, columns = np.mgrid[0:48, 0:64] + 0.5
@@ -141,15 +150,15 @@ def test_colours_become_linear(value: float, alpha: float) -> None:
 def test_colours_too_bright_for_half_floats_stay_finite(tmp_path: Path) -> None:
     colour = np.full((4, 4, 3), 1e30, np.float32)
     opaque = np.ones((4, 4), np.float32)
-    frame = Frame(colour, opaque, opaque, 0)
-    exr.write_exr(tmp_path / "a.exr", frame, Camera(np.eye(4), 4, 4, 2, 2, 4, 4), {})
+    frame = Frame(colour, opaque, opaque, opaque, 0)
+    exr.write_exr(tmp_path / "a.exr", frame, Camera(np.eye(4), 4, 4, 2, 2, 4, 4), ExrOptions())
     assert (read(tmp_path / "a.exr")[0]["R"] == 65504).all()
 
 
 def test_same_frame_same_bytes(gaussians: Gaussians, tmp_path: Path) -> None:
     camera = turned_camera()
     for name in ("a.exr", "b.exr"):
-        exr.write_exr(tmp_path / name, render(gaussians, camera, None), camera, {})
+        exr.write_exr(tmp_path / name, render(gaussians, camera, None), camera, ExrOptions())
     assert (tmp_path / "a.exr").read_bytes() == (tmp_path / "b.exr").read_bytes()
 
 
@@ -157,7 +166,7 @@ def test_failure_leaves_nothing(gaussians: Gaussians, tmp_path: Path) -> None:
     camera = turned_camera()
     frame = render(gaussians, camera, None)
     with pytest.raises(OutputError, match="does not exist"):
-        exr.write_exr(tmp_path / "no" / "a.exr", frame, camera, {})
+        exr.write_exr(tmp_path / "no" / "a.exr", frame, camera, ExrOptions())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -167,4 +176,91 @@ def test_full_disk_is_one_line(gaussians: Gaussians) -> None:
         pytest.skip("no /dev/full here")
     camera = turned_camera()
     with pytest.raises(OutputError, match="cannot write /dev/full"):
-        exr.write_exr(full, render(gaussians, camera, None), camera, {})
+        exr.write_exr(full, render(gaussians, camera, None), camera, ExrOptions())
+
+
+@pytest.mark.parametrize("compression", exr.COMPRESSIONS)
+def test_every_compression_keeps_what_it_says(
+    gaussians: Gaussians, tmp_path: Path, compression: str
+) -> None:
+    camera = turned_camera()
+    frame = render(gaussians, camera, None)
+    exr.write_exr(tmp_path / "a.exr", frame, camera, ExrOptions())
+    exr.write_exr(tmp_path / "b.exr", frame, camera, ExrOptions(compression))
+    expected, _ = read(tmp_path / "a.exr")
+    channels, header = read(tmp_path / "b.exr")
+    assert (
+        str(header["compression"])
+        .lower()
+        .endswith(f"{compression.replace('none', 'no')}_compression")
+    )
+    for name in "AZ":
+        np.testing.assert_array_equal(channels[name], expected[name])
+    for name in "RGB":
+        error = np.abs(channels[name].astype(float) - expected[name]).max()
+        assert error <= (0.05 if compression.startswith("dwa") else 0)
+
+
+def test_parts_on_request(gaussians: Gaussians, tmp_path: Path) -> None:
+    camera = turned_camera()
+    frame = render(gaussians, camera, None)
+    exr.write_exr(tmp_path / "a.exr", frame, camera, ExrOptions())
+    exr.write_exr(tmp_path / "b.exr", frame, camera, ExrOptions(multi_part=True, fps=29.97))
+    single, _ = read(tmp_path / "a.exr")
+    file = OpenEXR.File(str(tmp_path / "b.exr"), separate_channels=True)
+    assert [(part.name(), set(part.channels)) for part in file.parts] == [
+        ("rgba", set("RGBA")),
+        ("depth", {"Z"}),
+    ]
+    for part in file.parts:
+        assert part.header["framesPerSecond"] == Fraction(30000, 1001)
+        assert part.header["worldToNDC"].shape == (4, 4)
+        for name, channel in part.channels.items():
+            np.testing.assert_array_equal(channel.pixels, single[name])
+
+
+def test_rate_and_provenance_are_standard_attributes(gaussians: Gaussians, tmp_path: Path) -> None:
+    camera = turned_camera()
+    options = ExrOptions(fps=24, provenance={"software": "styl3r 9", "styl3r.model": "mini"})
+    exr.write_exr(tmp_path / "a.exr", render(gaussians, camera, None), camera, options)
+    _, header = read(tmp_path / "a.exr")
+    assert header["framesPerSecond"] == 24
+    assert header["comments"] == "software: styl3r 9; styl3r.model: mini"
+    assert header["styl3r.model"] == "mini"
+
+
+@pytest.mark.parametrize("multi_part", [False, True])
+def test_ffmpeg_reads_the_same_colours(
+    gaussians: Gaussians, tmp_path: Path, multi_part: bool
+) -> None:
+    """A second reader, whose decoder is its own."""
+    camera = turned_camera()
+    options = ExrOptions(multi_part=multi_part)
+    exr.write_exr(tmp_path / "a.exr", render(gaussians, camera, None), camera, options)
+    with av.open(str(tmp_path / "a.exr")) as container:
+        frame = next(container.decode(video=0))
+    assert frame.format.name == "gbrapf16le"
+    channels, _ = read(tmp_path / "a.exr")
+    for name, plane in zip("GBRA", frame.planes, strict=True):
+        rows = np.frombuffer(plane, np.float16).reshape(plane.height, -1)
+        np.testing.assert_array_equal(rows[:, : plane.width], channels[name])
+
+
+def test_opencv_reads_the_same_colours(gaussians: Gaussians, tmp_path: Path) -> None:
+    """In a process of its own: OpenCV looks at its environment once."""
+    found = re.search(r"OpenEXR:\s+(\S+)", cv2.getBuildInformation())
+    if found is None or found[1] == "NO":
+        pytest.skip("this OpenCV was built without OpenEXR")
+    camera = turned_camera()
+    exr.write_exr(tmp_path / "a.exr", render(gaussians, camera, None), camera, ExrOptions())
+    code = (
+        "import cv2, numpy, sys; picture = cv2.imread(sys.argv[1], cv2.IMREAD_UNCHANGED);"
+        "numpy.save(sys.argv[2], picture)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "a.exr"), str(tmp_path / "a.npy")]
+    environment = os.environ | {"OPENCV_IO_ENABLE_OPENEXR": "1"}
+    subprocess.run(command, env=environment, check=True)
+    picture = np.load(tmp_path / "a.npy")
+    channels, _ = read(tmp_path / "a.exr")
+    for index, name in enumerate("BGRA"):
+        np.testing.assert_array_equal(picture[..., index], channels[name].astype(np.float32))

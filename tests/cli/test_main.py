@@ -85,7 +85,7 @@ def test_version() -> None:
         (["stylize", "a", "--style", "b"], "Missing option '--output'"),
         (["stylize", "a", "-o", "x.ply", "--style", "b", "--strength", "2"], "range"),
         (["stylize", "a", "-o", "x.ply", "--style", "b", "--size", "0x4"], "not a size"),
-        (["render", "x.ply", "-o", "y.mp4", "--path", "spiral"], "spiral"),
+        (["render", "x.ply", "-o", "y.mp4", "--speed", "fast"], "constant"),
         (["render", "x.ply", "-o", "y.mp4", "--fps", "0"], "range"),
     ],
 )

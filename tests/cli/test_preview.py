@@ -10,8 +10,9 @@ from PIL import Image
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.contact_sheet import Cell, Row, draw_sheet
+from styl3r_cli.depth_colours import EMPTY, colour_depths
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.preview import EMPTY, Preview, colour_depths, write_preview
+from styl3r_cli.preview import Preview, write_preview
 
 GREEN = (0, 128, 0)
 

@@ -1,0 +1,177 @@
+"""What the command line asks of `render`, and what can be refused before the work begins."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from styl3r_cli.commands.checks import check_outputs, check_stdout
+from styl3r_cli.commands.options import STDOUT
+from styl3r_cli.errors import OutputError, UsageError
+from styl3r_cli.frames import Colour
+
+MOVIES = ("mp4", "webm", "gif", "webp")
+PICTURES = ("png", "jpg", "jpeg")
+PIPED = ("y4m", "rgb", "png")
+LINEAR = "exr"
+FORMATS = (*MOVIES, "y4m", "rgb", "png", "jpg", LINEAR)
+WITH_ALPHA = ("webm", "webp", "png", "rgb")
+TRANSPARENT = "transparent"
+DEFAULT_BACKGROUND = "black"
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """The options of `render`, as the command line gave them.
+
+    Without a path, every camera of the file is one frame. `arc` is in degrees, as `fov` is.
+    """
+
+    scene: str
+    output: str
+    format: str | None
+    path: str | None
+    cameras: Path | None
+    save_path: Path | None
+    frames: int | None
+    fps: float | None
+    loop: bool
+    eased: bool | None
+    amplitude: float
+    arc: float | None
+    size: tuple[int, int] | None
+    fov: float | None
+    background: str | None
+    compare: Path | None
+    layout: str
+    show: str
+    colour_map: str
+    exr_compression: str
+    exr_parts: str
+    threads: int | None
+
+    @property
+    def kind(self) -> str:
+        """The output's format: as asked for, else by its suffix; MP4 for standard output."""
+        if self.format:
+            return self.format
+        return "mp4" if self.output == STDOUT else self.file.suffix.lower().removeprefix(".")
+
+    @property
+    def file(self) -> Path:
+        """The output's name, or the pattern of its frames' names."""
+        return Path(self.output).expanduser()
+
+    @property
+    def one_file(self) -> bool:
+        """Whether all frames go into one file or through a pipe."""
+        return self.output == STDOUT or self.kind not in (*PICTURES, LINEAR)
+
+
+def background_of(request: RenderRequest) -> Colour | None:
+    """The colour behind the scene; None for a transparent one.
+
+    Raises:
+        UsageError: it is no colour, or the format has no alpha.
+    """
+    asked = request.background or DEFAULT_BACKGROUND
+    if asked != TRANSPARENT:
+        return parse_colour(asked)
+    if request.kind not in (*WITH_ALPHA, LINEAR):
+        formats = ", ".join(WITH_ALPHA)
+        raise UsageError(f"--background transparent: {request.kind} has no alpha; use {formats}")
+    if request.compare or request.show != "colour":
+        raise UsageError("--background transparent is for pictures of one scene in its colours")
+    return None
+
+
+def parse_colour(text: str) -> Colour:
+    """A colour's name, #rrggbb, rgb(r,g,b) or hsl(...) as sRGB in [0, 1].
+
+    Raises:
+        UsageError: it is none of them.
+    """
+    from PIL import ImageColor
+
+    try:
+        red, green, blue = ImageColor.getrgb(text)[:3]
+    except ValueError as error:
+        message = f"--background '{text}': not a colour such as white, #203040 or rgb(32,48,64)"
+        raise UsageError(message) from error
+    return red / 255, green / 255, blue / 255
+
+
+def check(request: RenderRequest) -> None:
+    """Refuse outputs that could not be written, before anything is read.
+
+    Raises:
+        UsageError: the wishes do not go together.
+        OutputError: the place cannot be written to.
+    """
+    _check_kind(request)
+    outputs = [request.save_path] if request.save_path else []
+    if request.output == STDOUT:
+        check_stdout("-o -")
+    else:
+        path = request.file
+        if not request.one_file and is_pattern(path):
+            _make_folder(path.parent)
+            path = numbered(path, 0)
+        outputs.append(path)
+    read = [Path(request.scene)] if request.scene != STDOUT else []
+    read += [path for path in (request.cameras, request.compare) if path]
+    check_outputs(outputs, read)
+
+
+def _check_kind(request: RenderRequest) -> None:
+    kind = request.kind
+    if kind not in (*FORMATS, "jpeg"):
+        raise UsageError(
+            f"-o {request.file}: name a video (OUT.mp4, .webm, .gif, .webp, .y4m) or frames "
+            "(DIR/%04d.png, .jpg, .exr)"
+        )
+    if request.output == STDOUT and kind in ("jpg", LINEAR):
+        raise UsageError(f"-o -: {kind} frames need files; through a pipe go {', '.join(PIPED)}")
+    if kind == LINEAR and request.background is not None:
+        raise UsageError("--background: EXR frames keep their alpha; put them on anything later")
+    if kind == LINEAR and (request.compare or request.show != "colour"):
+        raise UsageError("--compare and --show: EXR frames have colour and depth of one scene")
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot make the folder {folder}: {error.strerror}") from error
+
+
+def frame_names(path: Path, count: int) -> list[Path]:
+    """A file for each frame; one frame alone needs no number.
+
+    Raises:
+        UsageError: several frames, and no place for a number in the name.
+    """
+    if is_pattern(path):
+        return [numbered(path, index) for index in range(count)]
+    if count > 1:
+        message = f"{count} frames need numbered names, such as %04d{path.suffix}"
+        raise UsageError(f"-o {path}: {message}")
+    return [path]
+
+
+def is_pattern(path: Path) -> bool:
+    """Whether the name has a place for the frame's number, as C's printf and ffmpeg write it."""
+    return re.search(r"%0?\d*d", path.name) is not None
+
+
+def numbered(path: Path, index: int) -> Path:
+    """The name of one frame, counted from 0.
+
+    Raises:
+        UsageError: there is more than one place, or one for something else.
+    """
+    try:
+        return path.with_name(path.name % index)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"-o {path}: one frame number, such as %04d, and no other %") from error
