@@ -139,7 +139,7 @@ def _list(part_begin, part_end, parts, status, rects, records, columns, tile, ro
             first_row, last_row = rects[i, 1] // tile, rects[i, 3] // tile
             first, last = rects[i, 0] // tile, rects[i, 2] // tile
             # Where tiles are so few that the outline misses hardly any, they need no closer look.
-            exact = first < last and (last - first) + (last_row - first_row) > 1
+            exact = (last - first) + (last_row - first_row) > 1
             bulge = _bulge(i, records) if exact else 0.0
             for row in range(max(first_row, row_begin), min(last_row + 1, row_end)):
                 low, high = first, last

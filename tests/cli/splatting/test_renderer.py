@@ -276,7 +276,7 @@ def test_lists_hold_the_tiles_that_a_splat_reaches_and_no_others(seed, stretch):
         listed = np.array([i in band.members[low:high] for low, high in pairwise(band.starts)])
         assert (listed >= tiles_reached(splats.records[i], 1)).all()
         # The outline may pass between pixels' centres.
-        assert (listed & ~tiles_reached(splats.records[i], 4)).sum() <= 4
+        assert (listed & ~tiles_reached(splats.records[i], 4)).sum() <= 2
 
 
 def tiles_reached(record: np.ndarray, samples: int) -> np.ndarray:
