@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIZE = 256  # one byte
-ROUNDS = 30  # the error falls by less than a percent in the rounds after these
-FLAT = 0.5  # how much of the start follows the values' range rather than their density
+# How much of the start follows the values' range rather than their density. On scenes of this
+# program, 0.5 has worst errors twice as large, and 1 mean errors a quarter larger; what is few
+# but far from the rest (floaters, highlights) is seen too.
+FLAT = 0.75
+ROUNDS = 10  # more rounds improve the mean error by less than a percent
 
 
 def make_codebook(values: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.stored import cameras_from_metadata
 from styl3r_cli.errors import InputError
+from styl3r_cli.formats.glb_container import Arrays
 from styl3r_cli.formats.scene import Encoded, Scene
 from styl3r_cli.formats.values import finite_only, turned
 from styl3r_cli.gaussians import Gaussians
@@ -26,6 +27,7 @@ LEAST_OPACITY = 0.1
 FRUSTUM_DEPTH = 0.05  # of the scene's diagonal: to be seen beside it without covering it
 CENTRAL = (5, 95)  # percentiles between which the diagonal is measured; a few points are far out
 FRUSTUM_COLOUR = (255, 140, 0, 255)  # orange is rare in rooms and streets
+EMPTY = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{}]}
 # From the camera's centre (4) to the corners of its picture (0 to 3), and round them.
 FRUSTUM_LINE = (0, 1, 2, 3, 0, 4, 1, 2, 4, 3)
 
@@ -59,7 +61,9 @@ def encode(gaussians: Gaussians, metadata: dict[str, str]) -> Encoded:
         picture.add_geometry(_frustum(camera, size), node_name=name, geom_name=name)
     if cameras:
         notes.append(f"{len(cameras)} cameras are drawn as frusta {size:.3g} deep")
-    return Encoded(bytes(picture.export(file_type="glb")), len(kept), scene.dropped, notes)
+    # trimesh refuses to write a scene of nothing.
+    data = picture.export(file_type="glb") if picture.geometry else Arrays().bundle(EMPTY)
+    return Encoded(bytes(data), len(kept), scene.dropped, notes)
 
 
 def decode(data: bytes, name: str) -> Scene:

@@ -47,6 +47,7 @@ class Archive:
             InputError: it is not there, no picture, or too small or too large.
         """
         from PIL import Image
+        from PIL.Image import DecompressionBombError as BombError
 
         try:
             file = self.meta[key]["files"][index]
@@ -63,7 +64,7 @@ class Archive:
                     f"{self.name}: damaged: {file} has {pixels} pixels for {self.count} Gaussians"
                 )
             return np.asarray(image.convert("RGBA")).reshape(-1, 4)[: self.count]
-        except (OSError, ValueError, SyntaxError, Warning, Image.DecompressionBombError) as error:
+        except (OSError, ValueError, SyntaxError, MemoryError, Warning, BombError) as error:
             raise InputError(f"{self.name}: damaged: {file} cannot be read as a picture") from error
 
     def codebook(self, key: str) -> NDArray[np.float64]:
