@@ -147,11 +147,14 @@ def test_colours_become_linear(value: float, alpha: float) -> None:
         np.testing.assert_allclose(back, value, rtol=1e-4, atol=1e-6)
 
 
-def test_colours_too_bright_for_half_floats_stay_finite(tmp_path: Path) -> None:
+def test_colours_too_bright_for_half_floats_stay_finite(
+    gaussians: Gaussians, tmp_path: Path
+) -> None:
+    camera = Camera(np.eye(4), 4, 4, 2, 2, 4, 4)
     colour = np.full((4, 4, 3), 1e30, np.float32)
     opaque = np.ones((4, 4), np.float32)
-    frame = Frame(colour, opaque, opaque, opaque, 0)
-    exr.write_exr(tmp_path / "a.exr", frame, Camera(np.eye(4), 4, 4, 2, 2, 4, 4), ExrOptions())
+    frame = replace(render(gaussians, camera, None), colour=colour, alpha=opaque)
+    exr.write_exr(tmp_path / "a.exr", frame, camera, ExrOptions())
     assert (read(tmp_path / "a.exr")[0]["R"] == 65504).all()
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +145,196 @@ def test_odd_sizes_and_rates_make_a_video(run: Run, scene: Path, tmp_path: Path)
     assert video_frames(tmp_path / "v.mp4")[0].shape == (34, 66, 3)
 
 
+@pytest.mark.parametrize("path", ["orbit", "spiral", "dolly", "interpolate"])
+def test_every_path_makes_a_video_and_a_file_that_makes_it_again(
+    run: Run, scene: Path, tmp_path: Path, path: str
+) -> None:
+    saved, size = tmp_path / "path.json", ("--size", "64x48")
+    first = ("--path", path, "--frames", 5, "--fps", 12, "--save-path", saved)
+    assert run(scene, *first, *size, "-o", tmp_path / "%d.png") == (0, "")
+    assert len(json.loads(saved.read_text())["camera_path"]) == 5
+    assert run(scene, "--path", saved, "-o", tmp_path / "again_%d.png") == (0, "")
+    for index in range(5):
+        assert (tmp_path / f"{index}.png").read_bytes() == (
+            tmp_path / f"again_{index}.png"
+        ).read_bytes()
+    assert run(scene, "--path", saved, "-o", tmp_path / "a.mp4") == (0, "")
+    import av
+
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        assert container.streams.video[0].average_rate == 12
+
+
+def test_a_file_of_cameras_becomes_a_path_of_any_length(
+    run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
+) -> None:
+    pattern = tmp_path / "%d.png"
+    options = ("--path", cameras, "--frames", 9, "--once", "--speed", "constant", "-o", pattern)
+    assert run(scene, *options) == (0, "")
+    for index, camera in ((0, CAMERAS[0]), (4, camera_at(0.15)), (8, CAMERAS[1])):
+        picture = np.asarray(Image.open(tmp_path / f"{index}.png")).astype(int)
+        assert np.abs(picture - to_picture(render(gaussians, camera).colour)).mean() < 0.5
+
+
+def test_fov_is_the_horizontal_angle(
+    run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
+) -> None:
+    assert run(scene, "--cameras", cameras, "--fov", 90, "-o", tmp_path / "%d.png") == (0, "")
+    lens = replace(CAMERAS[1], fx=32.0, fy=32.0, cx=32.0, cy=24.0)
+    picture = np.asarray(Image.open(tmp_path / "1.png")).astype(int)
+    assert np.abs(picture - to_picture(render(gaussians, lens).colour)).max() <= 1
+
+
+def recoloured(gaussians: Gaussians, path: Path) -> Path:
+    write_scene(path, gaussians.with_colours(1 - gaussians.colours), cameras_to_metadata(CAMERAS))
+    return path
+
+
+def test_two_scenes_side_by_side(
+    run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
+) -> None:
+    other = recoloured(gaussians, tmp_path / "other.ply")
+    both = ("--cameras", cameras, "--compare", other, "-o", tmp_path / "%d.png")
+    assert run(scene, *both) == (0, "")
+    picture = np.asarray(Image.open(tmp_path / "1.png")).astype(int)
+    assert picture.shape == (48, 128, 3)
+    expected = to_picture(render(gaussians, CAMERAS[1]).colour)
+    assert np.abs(picture[:, 64:] - expected).max() <= 1
+    assert np.abs(picture[:, :64] - expected).mean() > 20
+
+
+def test_a_wipe_goes_over_both_scenes(
+    run: Run, scene: Path, gaussians: Gaussians, tmp_path: Path
+) -> None:
+    other = recoloured(gaussians, tmp_path / "other.ply")
+    shared = ("--frames", 4, "--size", "64x48")
+    assert run(scene, *shared, "-o", tmp_path / "own_%d.png") == (0, "")
+    assert run(other, *shared, "-o", tmp_path / "other_%d.png") == (0, "")
+    options = ("--compare", other, "--layout", "wipe", "-o", tmp_path / "%d.png")
+    assert run(scene, *shared, *options) == (0, "")
+
+    def picture(name: str) -> np.ndarray:
+        return np.asarray(Image.open(tmp_path / f"{name}.png"))
+
+    half = picture("0")
+    np.testing.assert_array_equal(half[:, :31], picture("other_0")[:, :31])
+    np.testing.assert_array_equal(half[:, 33:], picture("own_0")[:, 33:])
+    assert (half[:, 31:33] == 255).all()
+    np.testing.assert_array_equal(picture("1"), picture("own_1"))
+    np.testing.assert_array_equal(picture("3"), picture("other_3"))
+
+
+def test_depth_has_one_scale_for_the_whole_video(run: Run, tmp_path: Path) -> None:
+    """A wall that the camera nears: its colour changes, which a scale per frame would undo."""
+    y, x = np.mgrid[-3:3:61j, -3:3:61j]
+    ones = np.ones((x.size, 3))
+    wall = Gaussians(
+        means=np.stack([x.ravel(), y.ravel(), np.full(x.size, 2.0)], axis=1),
+        scales=0.1 * ones,
+        rotations=np.tile([1.0, 0, 0, 0], (x.size, 1)),
+        opacities=ones[:, 0] * 0.99,
+        colours=ones,
+    )
+    write_scene(tmp_path / "wall.ply", wall, cameras_to_metadata([camera_at(0.0)]))
+    options = ("--path", "dolly", "--once", "--frames", 3, "--show", "depth", "--size", "64x48")
+    grey = ("--colour-map", "grey", "-o", tmp_path / "%d.png")
+    assert run(tmp_path / "wall.ply", *options, *grey) == (0, "")
+    levels = [np.asarray(Image.open(tmp_path / f"{i}.png"))[24, 32] for i in range(3)]
+    assert levels[0].max() < 20
+    assert levels[2].min() > 235
+    assert levels[0][0] < levels[1][0] < levels[2][0]
+    both = ("--show", "both", "--frames", 2, "--size", "64x48", "-o", tmp_path / "a.gif")
+    assert run(tmp_path / "wall.ply", *both) == (0, "")
+    assert Image.open(tmp_path / "a.gif").size == (128, 48)
+
+
+def test_transparent_pictures_are_straight_alpha(
+    run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
+) -> None:
+    options = ("--cameras", cameras, "--background", "transparent", "-o", tmp_path / "%d.png")
+    assert run(scene, *options) == (0, "")
+    picture = np.asarray(Image.open(tmp_path / "0.png")).astype(float) / 255
+    assert picture.shape == (48, 64, 4)
+    colour, alpha = picture[..., :3], picture[..., 3:]
+    for level in (0.0, 1.0):
+        expected = render(gaussians, CAMERAS[0], (level,) * 3).colour.clip(0, 1)
+        seen = alpha[..., 0] > 0.1
+        error = np.abs(colour * alpha + level * (1 - alpha) - expected)[seen]
+        assert error.max() < 0.02
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "webm", "webp", "gif", "y4m"])
+def test_other_formats_by_their_name(run: Run, scene: Path, tmp_path: Path, suffix: str) -> None:
+    target = tmp_path / (f"%d.{suffix}" if suffix == "jpg" else f"a.{suffix}")
+    assert run(scene, "--frames", 3, "--size", "66x34", "-o", target) == (0, "")
+    if suffix == "jpg":
+        assert {p.name for p in tmp_path.glob("*.jpg")} == {"0.jpg", "1.jpg", "2.jpg"}
+        picture = np.asarray(Image.open(tmp_path / "1.jpg"))
+    else:
+        import av
+
+        if suffix == "webp":
+            picture = np.asarray(Image.open(target).convert("RGB"))
+        else:
+            with av.open(str(target)) as container:
+                frames = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
+            assert len(frames) == 3
+            picture = frames[0]
+    assert picture.shape == (34, 66, 3)
+
+
+@pytest.mark.parametrize("form", ["y4m", "rgb", "png", "webm"])
+def test_a_pipe_gets_what_a_file_gets(scene: Path, tmp_path: Path, form: str) -> None:
+    command = [sys.executable, "-m", "styl3r_cli", "render", str(scene), "--frames", "2"]
+    command += ["--size", "64x48", "--format", form, "--threads", "1", "-o"]
+    piped = subprocess.run([*command, "-"], capture_output=True, check=True)
+    if form == "rgb":
+        assert piped.stderr == b"styl3r: raw rgb24, 64x48, 24 frames per second\n"
+        assert len(piped.stdout) == 2 * 64 * 48 * 3
+    else:
+        assert piped.stderr == b""
+    if form != "png":
+        subprocess.run([*command, str(tmp_path / f"a.{form}")], capture_output=True, check=True)
+        assert (tmp_path / f"a.{form}").read_bytes() == piped.stdout
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX pipes")
+def test_a_reader_that_leaves_ends_the_run_quietly(scene: Path, tmp_path: Path) -> None:
+    """As after `| head`: the conventional code, no words, and long before all frames are drawn."""
+    command = [sys.executable, "-m", "styl3r_cli", "render", str(scene), "--frames", "5000"]
+    command += ["--size", "64x48", "--format", "y4m", "-o", "-"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.read(9) == b"YUV4MPEG2"
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(timeout=60) == 141
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+@pytest.mark.parametrize("target", ["a.mp4", "a.webm", "a.gif"])
+def test_ctrl_c_while_a_video_is_written_leaves_no_part_of_it(
+    scene: Path, tmp_path: Path, target: str
+) -> None:
+    command = [sys.executable, "-m", "styl3r_cli", "render", str(scene), "--frames", "5000"]
+    command += ["--size", "64x48", "-o", target]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, cwd=tmp_path) as process:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.glob(f".styl3r-*{target[1:]}")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    # Python ends by the signal itself if that came while it ran a string as code, as numba does
+    # to compile; a shell calls either 130.
+    assert process.returncode in (130, -signal.SIGINT)
+    assert (out, err) == (b"", b"")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
+
+
 def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "styl3r_cli", "render", "-", "--frames", "2", "-o", "-"]
     with scene.open("rb") as file:
@@ -160,6 +354,20 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
         (["{scene}", "-o", "x.exr"], 2, "numbered names, such as %04d.exr"),
         (["{scene}", "-o", "x.exr", "--frames", "1", "--background", "red"], 2, "keep their alpha"),
         (["{scene}", "-o", "no/x.mp4"], 6, "does not exist"),
+        (["{scene}", "-o", "-", "--format", "exr"], 2, "need files"),
+        (["{scene}", "-o", "x.exr", "--show", "depth"], 2, "one scene"),
+        (["{scene}", "-o", "x.mp4", "--background", "transparent"], 2, "no alpha"),
+        (["{scene}", "-o", "x.mp4", "--path", "moonwalk"], 2, "no such path"),
+        (["{scene}", "-o", "x.mp4", "--path", "moon.json"], 3, "moon.json"),
+        (["{scene}", "-o", "x.mp4", "--arc", "90"], 2, "orbit"),
+        (["{scene}", "-o", "x.mp4", "--compare", "no.ply"], 3, "no.ply"),
+        (["{scene}", "-o", "x.mp4", "--compare", "{scene}", "--show", "both"], 2, "no room"),
+        (["{scene}", "-o", "x.gif", "--fps", "60", "--frames", "2"], 2, "at most 50"),
+        (
+            ["{scene}", "-o", "x.mp4", "--save-path", "{cameras}", "--cameras", "{cameras}"],
+            2,
+            "input",
+        ),
         (["{scene}", "-o", "x.mp4", "--background", "greenish"], 2, "greenish"),
         (["{scene}", "-o", "x.mp4", "--cameras", "{cameras}", "--frames", "3"], 2, "--path"),
         (["{scene}", "-o", "x.mp4", "--cameras", "no.json"], 3, "no.json"),
