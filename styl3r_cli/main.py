@@ -22,6 +22,7 @@ COMMANDS = {
     "render": ("render", "A scene becomes a video or a folder of frames."),
     "convert": ("convert", "A scene from one file format into another."),
     "info": ("info", "What is in a scene file."),
+    "bench": ("bench", "How fast this machine draws scenes."),
     "export": ("export", "A checkpoint becomes a model folder (needs the extra 'export')."),
 }
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback

@@ -1,7 +1,7 @@
 """The splat renderer written out in plain torch: clear rather than fast, in float32 or float64.
 
-Every pixel meets every Gaussian, so memory grows with their product; it is there to check the
-fast renderers and their gradients with autograd's.
+Every pixel meets every Gaussian, so time grows with their product (and memory too, if there are
+gradients); it is there to check the fast renderers, and their gradients with autograd's.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from styl3r_cli.splatting.constants import (
     TRANSMITTANCE_MIN,
 )
 
+# (Gaussian, pixel) pairs that are worked on at a time: tens of megabytes a tensor.
+PAIRS = 1 << 22
+
 
 def splat(
     means: Float[Tensor, "gaussians 3"],
@@ -32,6 +35,7 @@ def splat(
     background: tuple[float, float, float] | Float[Tensor, " 3"] | None = (0.0, 0.0, 0.0),
     *,
     near: float = 0.0,
+    antialias: bool = False,
 ) -> tuple[
     Float[Tensor, "3 height width"], Float[Tensor, "height width"], Float[Tensor, "height width"]
 ]:
@@ -47,17 +51,33 @@ def splat(
     covariances = project_covariances(
         in_view, scales[kept], rotations[kept], extrinsics, intrinsics, size
     )
+    visible = opacities[kept]
+    if antialias:
+        sharp = torch.linalg.det(covariances - DILATION * torch.eye(2).to(means)).clamp(min=0)
+        visible = visible * (sharp / torch.linalg.det(covariances)).sqrt()
+    values = torch.cat([colours[kept].clamp(min=0), in_view[:, 2:]], dim=1)
     inverse = torch.linalg.inv(covariances)
-    offsets = pixel_centres(size).to(means) - centres[:, None, None]
-    distances = torch.einsum("ghwi,gij,ghwj->ghw", offsets, inverse, offsets)
-    alphas = opacities[kept, None, None] * torch.exp(-0.5 * distances)
-    weights = blending_weights(alphas)
-    alpha = weights.sum(0)
+    strips = pixel_centres(size).to(means).reshape(-1, 2).split(max(1, PAIRS // (len(kept) + 1)))
+    blended = [blend(strip, centres, inverse, visible, values) for strip in strips]
+    weighted, alpha = (torch.cat(parts).unflatten(0, size) for parts in zip(*blended, strict=True))
     behind = torch.zeros(3) if background is None else torch.as_tensor(background)
-    colour = torch.einsum("ghw,gc->chw", weights, colours[kept].clamp(min=0))
-    colour = colour + (1 - alpha) * behind.to(means)[:, None, None]
-    depth = torch.einsum("ghw,g->hw", weights, in_view[:, 2])
-    return colour, alpha, torch.where(alpha > 0, depth / torch.where(alpha > 0, alpha, 1.0), 0.0)
+    colour = weighted[..., :3] + (1 - alpha)[..., None] * behind.to(means)
+    depth = torch.where(alpha > 0, weighted[..., 3] / torch.where(alpha > 0, alpha, 1.0), 0.0)
+    return colour.permute(2, 0, 1), alpha, depth
+
+
+def blend(
+    pixels: Float[Tensor, "pixels 2"],
+    centres: Float[Tensor, "gaussians 2"],
+    inverse: Float[Tensor, "gaussians 2 2"],
+    opacities: Float[Tensor, " gaussians"],
+    values: Float[Tensor, "gaussians channels"],
+) -> tuple[Float[Tensor, "pixels channels"], Float[Tensor, " pixels"]]:
+    """What some pixels see, weighted, and their alpha; the Gaussians are sorted by depth."""
+    offsets = pixels - centres[:, None]
+    distances = (offsets @ inverse * offsets).sum(-1)
+    weights = blending_weights(opacities[:, None] * torch.exp(-0.5 * distances))
+    return torch.einsum("gp,gc->pc", weights, values), weights.sum(0)
 
 
 def pixel_centres(size: tuple[int, int]) -> Float[Tensor, "height width 2"]:
@@ -67,8 +87,8 @@ def pixel_centres(size: tuple[int, int]) -> Float[Tensor, "height width 2"]:
 
 
 def blending_weights(
-    alphas: Float[Tensor, "gaussians height width"],
-) -> Float[Tensor, "gaussians height width"]:
+    alphas: Float[Tensor, "gaussians pixels"],
+) -> Float[Tensor, "gaussians pixels"]:
     """Each Gaussian's share of each pixel, nearest first (Kerbl et al. 2023, equation 3)."""
     alphas = alphas.clamp(max=ALPHA_MAX) * (alphas >= ALPHA_MIN)
     after = torch.cumprod(1 - alphas, 0)
