@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
@@ -16,6 +17,10 @@ REDRAW = 0.2  # seconds between two states of that line
 BAR = 24  # characters
 RED, DIM, RESET = "\x1b[31m", "\x1b[2m", "\x1b[0m"
 CLEAR_LINE = "\r\x1b[K"
+LOG_FORMATS = ("text", "json")
+LOG = "STYL3R_LOG"  # the format where no option says, also for errors in the command line itself
+
+_json = False  # whether this run tells everything as JSON
 
 
 class Console:
@@ -34,7 +39,7 @@ class Console:
         self.timings: dict[str, float] = {}
         self._start = time.perf_counter()
         self._quiet = quiet
-        self._live = not quiet and is_terminal()
+        self._live = not quiet and (_json or is_terminal())
         self._lock = threading.Lock()  # notes may come while the progress line is drawn
 
     def elapsed(self) -> float:
@@ -46,7 +51,9 @@ class Console:
         if text in self.notes:
             return
         self.notes.append(text)
-        if not self._quiet:
+        if not self._quiet and _json:
+            log("note", message=text)
+        elif not self._quiet:
             with self._lock:
                 clear = CLEAR_LINE if self._live else ""
                 _print(f"{clear}{painted(f'{PROGRAM}: ', DIM)}{one_line(text)}\n")
@@ -74,10 +81,12 @@ class Console:
             pause = PATIENCE
             while not finished.wait(pause):
                 with self._lock:
-                    if not finished.is_set():
+                    if not finished.is_set() and _json:
+                        log("progress", stage=name, done=done, total=total or None)
+                    elif not finished.is_set():
                         line = progress_line(name, done, total, time.perf_counter() - start)
                         _print(CLEAR_LINE + line)
-                pause = REDRAW
+                pause = PATIENCE if _json else REDRAW
             with self._lock:
                 if pause == REDRAW:  # something was drawn
                     _print(CLEAR_LINE)
@@ -93,6 +102,8 @@ class Console:
                 painter.join()
             took = time.perf_counter() - start
             self.timings[name] = self.timings.get(name, 0.0) + took
+            if _json and not self._quiet:
+                log("stage", stage=name, seconds=round(took, 4))
 
 
 def progress_line(name: str, done: int, total: int, seconds: float) -> str:
@@ -106,8 +117,22 @@ def progress_line(name: str, done: int, total: int, seconds: float) -> str:
     return line[: shutil.get_terminal_size().columns - 1]
 
 
-def error(text: str) -> None:
+def use_format(name: str) -> None:
+    """Tell everything in this process as "text" or as "json", one of LOG_FORMATS."""
+    global _json
+    _json = name == "json"
+
+
+def log(event: str, **values: object) -> None:
+    """One JSON object on a line of its own; text is ASCII, so that no file name can break it."""
+    _print(json.dumps({"event": event, **values}) + "\n")
+
+
+def error(text: str, code: int) -> None:
     """The one line that a failed run ends with."""
+    if _json:
+        log("error", message=text, exit_code=code)
+        return
     clear = CLEAR_LINE if is_terminal() else ""
     _print(f"{clear}{PROGRAM}: {painted('error:', RED)} {one_line(text)}\n")
 

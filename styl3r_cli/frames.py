@@ -39,16 +39,20 @@ class Drawing:
     Attributes:
         background: sRGB in [0, 1], where no Gaussian is; None leaves it transparent.
         threads: None for every core.
+        antialias: whether Gaussians smaller than a pixel are as faint as they are.
     """
 
     background: Colour | None = BLACK
     threads: int | None = None
+    antialias: bool = False
 
     def frame(self, gaussians: Gaussians, camera: Camera) -> Frame:
         """What the renderer makes of it."""
         from styl3r_cli.splatting import render
 
-        return render(gaussians, camera, self.background, threads=self.threads)
+        return render(
+            gaussians, camera, self.background, threads=self.threads, antialias=self.antialias
+        )
 
 
 def to_picture(colours: FloatArray) -> Picture:

@@ -23,6 +23,7 @@ COMMANDS = {
     "convert": ("convert", "A scene from one file format into another."),
     "info": ("info", "What is in a scene file."),
     "bench": ("bench", "How fast this machine draws scenes."),
+    "completion": ("completion", "What a shell needs to complete styl3r's commands and options."),
     "export": ("export", "A checkpoint becomes a model folder (needs the extra 'export')."),
 }
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
@@ -44,7 +45,8 @@ Exit codes:
   3  an input cannot be used   130  interrupted (Ctrl-C)
 
 Results go to the files that you name, or to standard output with '-'; notes and progress go to
-standard error. STYL3R_DEBUG=1 shows the traceback of a bug; NO_COLOR=1 turns colours off."""
+standard error. STYL3R_DEBUG=1 shows the traceback of a bug; NO_COLOR=1 turns colours off;
+STYL3R_LOG=json makes every note and error a line of JSON, as --log does."""
 
 
 class LazyGroup(click.Group):
@@ -58,7 +60,13 @@ class LazyGroup(click.Group):
         """Import one command; None if there is none of that name."""
         if cmd_name not in COMMANDS:
             return None
-        return import_module(f"styl3r_cli.commands.{COMMANDS[cmd_name][0]}").command
+        command = import_module(f"styl3r_cli.commands.{COMMANDS[cmd_name][0]}").command
+        from styl3r_cli.commands.options import FileName
+
+        for parameter in command.params:
+            if isinstance(parameter, click.Argument) and parameter.type is click.STRING:
+                parameter.type = FileName()  # what shells then complete as such
+        return command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -104,6 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return the exit code; failures are told on stderr."""
+    console.use_format(os.environ.get(console.LOG, ""))
     try:
         result = group.main(
             args=None if arguments is None else list(arguments),
@@ -140,7 +149,7 @@ def _usage_message(error: click.ClickException) -> str:
 
 
 def _fail(message: str, code: ExitCode) -> int:
-    console.error(message)
+    console.error(message, code)
     return code
 
 

@@ -41,10 +41,12 @@ def film(request: RenderRequest, quiet: bool) -> None:
         Styl3rError: the scene, the cameras or the output is unusable.
     """
     console = Console(quiet)
-    drawing = Drawing(background_of(request), request.threads)
+    drawing = Drawing(background_of(request), request.threads, request.antialias)
     check(request)
     with console.stage("scene"):
-        scene = _read(STDOUT if request.scene == STDOUT else Path(request.scene), console)
+        scene = _read(
+            STDOUT if request.scene == STDOUT else Path(request.scene).expanduser(), console
+        )
         other = _read(request.compare, console) if request.compare else None
         shots = plan_shots(request, scene, console)
     if request.save_path:

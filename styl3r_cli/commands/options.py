@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
+
+from styl3r_cli import console
 
 STDOUT = "-"
 LOOP_FRAMES, LOOP_FPS = 72, 24.0  # a path's one loop in three seconds: slow enough to look around
@@ -69,6 +72,19 @@ class UserPath(click.ParamType):
             self.fail("the file name is empty", param, ctx)
         return Path(value).expanduser()
 
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Leave it to the shell, which knows its files."""
+        return [CompletionItem(incomplete, type="file")]
+
+
+class FileName(click.ParamType):
+    """What may be a file's name or something else, such as `-`: taken as it is."""
+
+    name = "FILE"
+    shell_complete = UserPath.shell_complete
+
 
 def apply(decorators: list[Callable[[Command], Command]]) -> Callable[[Command], Command]:
     """Several decorators as one, in the order in which --help lists them."""
@@ -81,7 +97,25 @@ def apply(decorators: list[Callable[[Command], Command]]) -> Callable[[Command],
     return decorate
 
 
-quiet_option = click.option("--quiet", "-q", is_flag=True, help="No notes and no progress.")
+def _log(_ctx: click.Context, _param: click.Parameter, value: str | None) -> None:
+    if value is not None:
+        console.use_format(value)
+
+
+quiet_option = apply(
+    [
+        click.option("--quiet", "-q", is_flag=True, help="No notes and no progress."),
+        click.option(
+            "--log",
+            type=click.Choice(console.LOG_FORMATS),
+            is_eager=True,
+            expose_value=False,
+            callback=_log,
+            help="Notes, progress and errors on standard error as text (the default) or as one "
+            "JSON object a line.",
+        ),
+    ]
+)
 threads_option = click.option(
     "--threads", type=click.IntRange(min=1), help="Processor cores to use; all by default."
 )
@@ -89,15 +123,27 @@ threads_option = click.option(
 # What `stylize` and `reconstruct` have in common; see commands/scene.py.
 scene_options = apply(
     [
-        click.argument("photos", nargs=-1, required=True, metavar="PHOTOS..."),
+        click.argument("photos", nargs=-1, required=True, metavar="PHOTOS...|-"),
+        click.option(
+            "--null",
+            "-0",
+            is_flag=True,
+            help="The photos' names on standard input end in NUL, as `find -print0` writes them.",
+        ),
         click.option(
             "--output",
             "-o",
             required=True,
+            type=FileName(),
             metavar="SCENE.ply|-",
             help="The scene, for any 3D Gaussian viewer; '-' writes it to standard output.",
         ),
-        click.option("--video", type=UserPath(), metavar="OUT.mp4", help="A camera swing as MP4."),
+        click.option(
+            "--video",
+            type=UserPath(),
+            metavar="OUT.mp4",
+            help="A camera swing (.mp4, .webm, .gif or .webp).",
+        ),
         click.option(
             "--preview",
             type=UserPath(),

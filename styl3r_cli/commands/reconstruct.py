@@ -11,10 +11,12 @@ from styl3r_cli.commands.options import scene_options
 HELP = """\
 Make a 3D scene in its own colours from 2 to 8 photos of one place.
 
-PHOTOS are picture files, globs or a folder; of more than 8, a well-spread 8 are used.
+PHOTOS are picture files, globs or a folder; of more than 8, a well-spread 8 are used. '-' reads
+their names from standard input.
 
 \b
   styl3r reconstruct photos/ -o scene.ply --preview sheet.png
+  ls photos/*.jpg | styl3r reconstruct - -o scene.ply
 
 It is what `stylize` gives with --strength 0. Existing results are replaced; a photo is never
 overwritten.

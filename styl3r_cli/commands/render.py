@@ -9,6 +9,7 @@ import click
 from styl3r_cli.commands.options import (
     LOOP_FPS,
     LOOP_FRAMES,
+    FileName,
     SizeType,
     UserPath,
     quiet_option,
@@ -51,6 +52,7 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     "--output",
     "-o",
     required=True,
+    type=FileName(),
     metavar="OUT.mp4|DIR/%04d.png|-",
     help="A video (.mp4 .webm .gif .webp .y4m), or numbered frames (.png .jpg .exr); '-' writes "
     "to standard output.",
@@ -61,7 +63,9 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     help="What to write, where the name does not say; rgb is raw pixels. Through a pipe, y4m, rgb "
     "and png go out frame by frame.",
 )
-@click.option("--path", metavar="NAME|FILE", help="How the camera moves; see above.")
+@click.option(
+    "--path", type=FileName(), metavar="NAME|FILE", help="How the camera moves; see above."
+)
 @click.option(
     "--cameras",
     type=UserPath(),
@@ -164,6 +168,12 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     default="single",
     show_default=True,
     help="Colour and depth in one part, which every program reads, or in one each.",
+)
+@click.option(
+    "--antialias",
+    is_flag=True,
+    help="Draw Gaussians smaller than a pixel as faint as they are: less shimmer far away. Scenes "
+    "that were trained without it lose some fine detail.",
 )
 @threads_option
 @quiet_option

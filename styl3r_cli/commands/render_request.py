@@ -10,10 +10,10 @@ from styl3r_cli.commands.checks import check_outputs, check_stdout
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import OutputError, UsageError
 from styl3r_cli.frames import Colour
+from styl3r_cli.movies import FILES as MOVIES
+from styl3r_cli.movies import PIPED
 
-MOVIES = ("mp4", "webm", "gif", "webp")
 PICTURES = ("png", "jpg", "jpeg")
-PIPED = ("y4m", "rgb", "png")
 LINEAR = "exr"
 FORMATS = (*MOVIES, "y4m", "rgb", "png", "jpg", LINEAR)
 WITH_ALPHA = ("webm", "webp", "png", "rgb")
@@ -49,6 +49,7 @@ class RenderRequest:
     colour_map: str
     exr_compression: str
     exr_parts: str
+    antialias: bool
     threads: int | None
 
     @property
@@ -119,7 +120,7 @@ def check(request: RenderRequest) -> None:
             _make_folder(path.parent)
             path = numbered(path, 0)
         outputs.append(path)
-    read = [Path(request.scene)] if request.scene != STDOUT else []
+    read = [Path(request.scene).expanduser()] if request.scene != STDOUT else []
     read += [path for path in (request.cameras, request.compare) if path]
     check_outputs(outputs, read)
 

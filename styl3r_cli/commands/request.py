@@ -11,8 +11,11 @@ from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix
 from styl3r_cli.commands.options import STDOUT, WeightedStyle
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, UsageError
+from styl3r_cli.files import read_stdin
 from styl3r_cli.formats import scene_suffix
+from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
+from styl3r_cli.photos.listing import parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE
 from styl3r_cli.pipeline import Stylizer
 
@@ -26,6 +29,7 @@ class SceneRequest:
 
     command: str
     photos: tuple[str, ...]
+    null: bool
     styles: tuple[WeightedStyle, ...]
     strength: float
     output: str
@@ -63,7 +67,8 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
         Styl3rError: whatever is wrong with the request or its files.
     """
     notes: list[str] = []
-    paths = _without_styles(request, expand(request.photos, notes), notes)
+    listed = _listed(request)
+    paths = _without_styles(request, expand(request.photos, notes, listed), notes)
     _check(request, paths)
     known = _known_cameras(request, paths, notes)
     for note in notes:
@@ -89,6 +94,15 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
     return Inputs(stylizer, photos, styles)
 
 
+def _listed(request: SceneRequest) -> list[str]:
+    """The photos that are named on standard input, for the argument "-"."""
+    if STDOUT in request.photos:
+        return parse_list(read_stdin(), request.null)
+    if request.null:
+        raise UsageError("-0 is for photos that are named on standard input; add the argument -")
+    return []
+
+
 def _without_styles(request: SceneRequest, photos: list[Path], notes: list[str]) -> list[Path]:
     """The photos, without style pictures that lie in their folder or match their glob.
 
@@ -111,12 +125,14 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
     else:
         check_stdout("-o -")
     for option, path, suffix in (
-        ("--video", request.video, ".mp4"),
         ("--preview", request.preview, ".png"),
         ("--cameras-out", request.cameras_out, ".json"),
     ):
         if path is not None:
             check_suffix(path, suffix, option)
+    if request.video is not None and request.video.suffix.lower()[1:] not in MOVIES:
+        known = ", ".join(f".{kind}" for kind in MOVIES)
+        raise UsageError(f"--video {request.video}: the file's name must end in one of {known}")
     outputs = (scene, request.video, request.preview, request.cameras_out)
     read = [*photos, *(style.path for style in request.styles)]
     if request.cameras is not None:

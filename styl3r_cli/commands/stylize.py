@@ -11,12 +11,15 @@ from styl3r_cli.commands.options import StyleType, WeightedStyle, scene_options
 HELP = """\
 Make a stylized 3D scene from 2 to 8 photos of one place.
 
-PHOTOS are picture files, globs or a folder; of more than 8, a well-spread 8 are used.
+PHOTOS are picture files, globs or a folder; of more than 8, a well-spread 8 are used. '-' reads
+their names from standard input.
 
 \b
   styl3r stylize photos/ --style art.jpg -o scene.ply --video scene.mp4
   styl3r stylize a.jpg b.jpg --style one.jpg=2 --style other.jpg=1 --strength 0.7 -o scene.ply
   styl3r stylize photos/ --style art.jpg -o - | styl3r render - -o scene.mp4
+  find photos -name '*.jpg' | sort | styl3r stylize - --style art.jpg -o scene.ply
+  find photos -name '*.jpg' -print0 | sort -z | styl3r stylize -0 - --style art.jpg -o scene.ply
 
 Existing results are replaced; a photo or a style is never overwritten.
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from styl3r_cli.errors import InputError
@@ -16,17 +16,20 @@ PHOTO_SUFFIXES = frozenset((*JPEG, *HEIF, *OTHERS))
 NAMED_IN_A_NOTE = 5  # longer lists of skipped files hide the message
 
 
-def expand(arguments: Sequence[str], notes: list[str] | None = None) -> list[Path]:
+def expand(
+    arguments: Sequence[str], notes: list[str] | None = None, listed: Sequence[str] = ()
+) -> list[Path]:
     """The photo files that the arguments name, arguments in order, each sorted naturally.
 
     A file is taken as it is, whatever its suffix. A folder gives the photos directly in it, and a
     glob (for shells that do not expand it) the photos that it matches; in both, hidden files are
     ignored and files with other suffixes are skipped. A file that a folder or a glob names again
-    is not repeated.
+    is not repeated. The argument "-" stands for a list of files and folders, in the list's order.
 
     Args:
         arguments: files, folders and globs; `~` is understood.
         notes: gets a line on what was skipped.
+        listed: the names that "-" stands for; nothing in them is special.
 
     Returns:
         Existing files; never empty unless `arguments` is.
@@ -35,8 +38,7 @@ def expand(arguments: Sequence[str], notes: list[str] | None = None) -> list[Pat
         InputError: an argument names nothing, or a folder holds no photo.
     """
     found: list[Path] = []
-    for argument in arguments:
-        path = Path(argument).expanduser()
+    for argument, path in _paths(arguments, listed):
         if path.is_file():
             found.append(path)
         elif path.is_dir():
@@ -44,7 +46,7 @@ def expand(arguments: Sequence[str], notes: list[str] | None = None) -> list[Pat
             if not photos:
                 raise InputError(f"{argument}: no photos in this folder (JPEG, PNG, WebP, TIFF...)")
             found += [photo for photo in photos if photo not in found]
-        elif glob.has_magic(argument):
+        elif argument not in listed and glob.has_magic(argument):
             matches = (Path(match) for match in glob.glob(str(path), recursive=True))  # noqa: PTH207
             photos = _photos_only(argument, matches, notes)
             if not photos:
@@ -53,6 +55,15 @@ def expand(arguments: Sequence[str], notes: list[str] | None = None) -> list[Pat
         else:
             raise InputError(_not_found(argument, path))
     return found
+
+
+def _paths(arguments: Sequence[str], listed: Sequence[str]) -> Iterator[tuple[str, Path]]:
+    """Arguments as they are shown and as paths, with the list in the place of "-"."""
+    for argument in arguments:
+        if argument == "-":
+            yield from ((name, Path(name)) for name in listed)
+        else:
+            yield argument, Path(argument).expanduser()
 
 
 def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
@@ -80,8 +91,6 @@ def name_some(names: Iterable[str]) -> str:
 
 
 def _not_found(argument: str, path: Path) -> str:
-    if argument == "-":
-        return "-: photos cannot be read from standard input; name files or a folder"
     if path.exists():
         return f"{argument}: neither a file nor a folder"
     if path.is_symlink():

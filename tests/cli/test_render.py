@@ -185,6 +185,30 @@ def test_fov_is_the_horizontal_angle(
     assert np.abs(picture - to_picture(render(gaussians, lens).colour)).max() <= 1
 
 
+def test_antialiasing_is_the_renderers(
+    run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
+) -> None:
+    options = ("--cameras", cameras, "--size", "16x12", "--antialias", "-o", tmp_path / "%d.png")
+    assert run(scene, *options) == (0, "")
+    camera = cropped(CAMERAS[1], 16, 12)
+    picture = np.asarray(Image.open(tmp_path / "1.png")).astype(int)
+    plain, smooth = (to_picture(render(gaussians, camera, antialias=a).colour) for a in (0, 1))
+    assert np.abs(picture - smooth).max() <= 1
+    assert np.abs(picture - plain).max() > 1
+
+
+def test_exr_options(run: Run, scene: Path, cameras: Path, tmp_path: Path) -> None:
+    import OpenEXR
+
+    options = ("--cameras", cameras, "--exr-parts", "multi", "--exr-compression", "dwaa")
+    assert run(scene, *options, "--fps", 25, "-o", tmp_path / "%d.exr") == (0, "")
+    file = OpenEXR.File(str(tmp_path / "1.exr"))
+    assert [part.name() for part in file.parts] == ["rgba", "depth"]
+    assert file.parts[0].header["compression"] == OpenEXR.DWAA_COMPRESSION
+    assert file.parts[0].header["framesPerSecond"] == 25
+    assert "software: styl3r" in file.parts[0].header["comments"]
+
+
 def recoloured(gaussians: Gaussians, path: Path) -> Path:
     write_scene(path, gaussians.with_colours(1 - gaussians.colours), cameras_to_metadata(CAMERAS))
     return path

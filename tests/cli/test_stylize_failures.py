@@ -37,7 +37,7 @@ MISTAKES = [
     ("photos -s style.jpg -o folder.ply", 6, "is a folder"),
     (f"photos {GOOD} --preview photos/0.png", 2, "0.png is also an input"),
     (f"photos {GOOD} --preview sheet.gif", 2, "must end in .png"),
-    (f"photos {GOOD} --video v.avi", 2, "must end in .mp4"),
+    (f"photos {GOOD} --video v.avi", 2, "must end in one of .mp4"),
     (f"photos {GOOD} --cameras no.json", 3, "no.json"),
     (f"photos {GOOD} --fov 190", 2, "--fov 190"),
     ("photos -s style.jpg -o - --json", 2, "both want standard output"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from styl3r_cli.errors import InputError
 from styl3r_cli.photos.expand import expand
+from styl3r_cli.photos.listing import parse_list
 
 
 @pytest.fixture
@@ -56,6 +58,42 @@ def test_missing_things_are_named(folder: Path, argument: str, words: str) -> No
         expand([str(folder / argument)])
 
 
-def test_standard_input_is_refused() -> None:
-    with pytest.raises(InputError, match="cannot be read from standard input"):
-        expand(["-"])
+def test_a_list_stands_where_it_is_named_and_is_taken_literally(folder: Path) -> None:
+    odd = folder / "[a]*.jpg"
+    odd.write_bytes(b"x")
+    listed = [str(folder / "img10.jpg"), str(odd), str(folder / "img2.JPG")]
+    arguments = [str(folder / "IMG1.png"), "-", str(folder / "a.txt")]
+    assert names(expand(arguments, listed=listed)) == [
+        "IMG1.png",
+        "img10.jpg",
+        "[a]*.jpg",
+        "img2.JPG",
+        "a.txt",
+    ]
+    with pytest.raises(InputError, match=r"gone\*\.jpg: no such file"):
+        expand(["-"], listed=[str(folder / "gone*.jpg")])
+
+
+@pytest.mark.parametrize(
+    ("data", "null", "expected"),
+    [
+        (b"a.jpg\nb c.jpg\n", False, ["a.jpg", "b c.jpg"]),
+        (b"a.jpg\r\n\r\nb.jpg", False, ["a.jpg", "b.jpg"]),
+        (b"a\nb.jpg\0c.jpg\0", True, ["a\nb.jpg", "c.jpg"]),
+        (b"a ", False, ["a "]),
+        ("é.jpg\n".encode(), False, ["é.jpg"]),
+    ],
+)
+def test_lists_of_names(data: bytes, null: bool, expected: list[str]) -> None:
+    assert parse_list(data, null) == expected
+
+
+def test_names_that_are_no_unicode_are_still_names() -> None:
+    (name,) = parse_list(b"\xff.jpg\n")
+    assert os.fsencode(name) == b"\xff.jpg"
+
+
+@pytest.mark.parametrize(("data", "words"), [(b"\n\n", "no photo names"), (b"a\0b\0", "add -0")])
+def test_lists_that_are_none(data: bytes, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        parse_list(data)

@@ -1,0 +1,159 @@
+"""What programs around styl3r see: lists on standard input, logs as JSON, shell completion."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from styl3r_cli import console, main
+from styl3r_cli.formats import read_scene
+from styl3r_cli.main import COMMANDS
+
+
+def styl3r(*arguments: object, **options: object) -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-m", "styl3r_cli", *map(str, arguments)]
+    return subprocess.run(  # type: ignore[call-overload]
+        command, capture_output=True, check=False, timeout=120, **options
+    )
+
+
+@pytest.mark.parametrize(("flags", "end"), [([], b"\n"), (["-0"], b"\0")])
+def test_photos_come_through_a_pipe(
+    tiny_model: Path, photos: list[Path], style: Path, tmp_path: Path, flags: list[str], end: bytes
+) -> None:
+    shared = ("--style", style, "--model", tiny_model, "--threads", 1, "--fov", 60)
+    names = b"".join(os.fsencode(photo) + end for photo in photos)
+    piped = styl3r("stylize", "-", *flags, *shared, "-o", "-", input=names)
+    assert (piped.returncode, piped.stderr) == (0, b"")
+    assert styl3r("stylize", *photos, *shared, "-o", tmp_path / "a.ply").returncode == 0
+    assert piped.stdout == (tmp_path / "a.ply").read_bytes()
+    assert len(read_scene(piped.stdout).gaussians) == 3 * 64 * 64
+
+
+@pytest.mark.parametrize(
+    ("arguments", "data", "code", "words"),
+    [
+        (["-"], b"", 3, b"standard input is empty"),
+        (["-"], b"\n", 3, b"no photo names"),
+        (["-"], b"gone.jpg\nlost.jpg\n", 3, b"gone.jpg: no such file"),
+        (["a.jpg", "-0"], b"", 2, b"add the argument -"),
+    ],
+)
+def test_lists_that_cannot_be_used(
+    tmp_path: Path, arguments: list[str], data: bytes, code: int, words: bytes
+) -> None:
+    result = styl3r("reconstruct", *arguments, "-o", "x.ply", input=data, cwd=tmp_path)
+    assert result.returncode == code
+    assert result.stderr.count(b"\n") == 1
+    assert words in result.stderr
+
+
+def lines(text: str) -> list[dict[str, object]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_logs_as_json(tiny_model: Path, photos: list[Path], style: Path, tmp_path: Path) -> None:
+    arguments = ("--style", style, "--model", tiny_model, "--threads", 1, "-o", tmp_path / "a.ply")
+    result = styl3r("stylize", *photos, *arguments, "--log", "json")
+    assert result.returncode == 0
+    assert result.stdout == b""
+    events = lines(result.stderr.decode())
+    (note,) = [event for event in events if event["event"] == "note"]
+    assert "no focal length" in str(note["message"])
+    stages = [event["stage"] for event in events if event["event"] == "stage"]
+    assert stages[-4:] == ["structure", "appearance", "cameras", "write"]
+    quiet = styl3r("stylize", *photos, *arguments, "--log", "json", "--quiet")
+    assert (quiet.returncode, quiet.stderr) == (0, b"")
+
+
+def test_failures_as_json(tmp_path: Path) -> None:
+    result = styl3r("render", "é\n.ply", "-o", "x.mp4", "--log", "json", "-q", cwd=tmp_path)
+    (event,) = lines(result.stderr.decode("ascii"))
+    assert (event["event"], event["exit_code"], result.returncode) == ("error", 3, 3)
+    assert "é\n.ply" in str(event["message"])
+
+
+def test_the_environment_decides_about_wrong_command_lines_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(console.LOG, "json")
+    assert main.run(["render", "--nonsense"]) == 2
+    (event,) = lines(capsys.readouterr().err)
+    assert event["exit_code"] == 2
+    monkeypatch.delenv(console.LOG)
+    assert main.run(["render", "--nonsense"]) == 2
+    assert capsys.readouterr().err.startswith("styl3r: error: ")
+
+
+def test_progress_as_json(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(console, "PATIENCE", 0.05)
+    monkeypatch.setattr(console, "_json", True)
+    import time
+
+    with console.Console().stage("video", 4) as step:
+        step()
+        time.sleep(0.3)
+    *progress, last = lines(capsys.readouterr().err)
+    assert progress
+    assert progress[-1] == {"event": "progress", "stage": "video", "done": 1, "total": 4}
+    assert (last["event"], last["stage"]) == ("stage", "video")
+
+
+def completed(words: str) -> list[str]:
+    """What bash is told for the last word of a command line."""
+    count = len(words.split(" ")) - 1
+    environment = os.environ | {
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(count),
+        "_STYL3R_COMPLETE": "bash_complete",
+    }
+    result = styl3r(env=environment)
+    assert result.stderr == b""
+    return result.stdout.decode().split()
+
+
+@pytest.mark.parametrize(
+    ("words", "answers"),
+    [
+        ("styl3r sty", ["plain,stylize"]),
+        ("styl3r render sc", ["file,sc"]),
+        ("styl3r stylize ph", ["file,ph"]),
+        ("styl3r convert sc", ["file,sc"]),
+        ("styl3r render x --lay", ["plain,--layout"]),
+        ("styl3r render x --layout w", ["plain,wipe"]),
+        ("styl3r render x --save-path a", ["file,a"]),
+    ],
+)
+def test_shells_can_complete(words: str, answers: list[str]) -> None:
+    assert completed(words) == answers
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts_call_the_program(shell: str) -> None:
+    result = styl3r("completion", shell)
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert f"_STYL3R_COMPLETE={shell}_complete".encode() in result.stdout
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+def test_bash_accepts_its_script() -> None:
+    script = styl3r("completion", "bash").stdout
+    check = subprocess.run(["bash", "-n"], input=script, capture_output=True, check=False)
+    assert (check.returncode, check.stderr) == (0, b"")
+
+
+def test_every_command_has_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in COMMANDS:
+        words = ["bench", "render"] if name == "bench" else [name]  # a group of commands
+        assert main.run([*words, "--help"]) == 0
+        assert (
+            f"styl3r {' '.join(words)} "
+            in capsys.readouterr().out.split("Options:")[0].split("\n", 1)[1]
+        )
