@@ -12,7 +12,6 @@ from styl3r_cli import __version__
 from styl3r_cli.cameras.framing import uncropped
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.commands.request import Inputs, SceneRequest
-from styl3r_cli.console import Console
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.pipeline import Repairs
 
@@ -23,7 +22,8 @@ def scene_report(
     gaussians: Gaussians,
     repairs: Repairs,
     recovered: Recovered,
-    console: Console,
+    notes: list[str],
+    timings: dict[str, float],
 ) -> dict[str, Any]:
     """What went in, what came out, how it went and how long it took, as plain values.
 
@@ -32,7 +32,6 @@ def scene_report(
     """
     model, photos = inputs.stylizer.model, inputs.photos
     height, width = photos.images.shape[2:]
-    timings = console.timings | {"total": console.elapsed()}
     outputs = {
         "scene": request.scene_path,
         "video": request.video,
@@ -50,7 +49,7 @@ def scene_report(
         "gaussians": len(gaussians),
         "outputs": {name: _text(path) for name, path in outputs.items() if path is not None},
         "repairs": repairs.to_dict(),
-        "warnings": console.notes,
+        "warnings": list(notes),
         "timings": {name: round(seconds, 4) for name, seconds in timings.items()},
     }
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix
+from styl3r_cli.commands.each import check_each, one_by_one, outputs_of
 from styl3r_cli.commands.options import STDOUT, WeightedStyle
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, UsageError
@@ -24,7 +25,8 @@ from styl3r_cli.pipeline import Stylizer
 class SceneRequest:
     """The options of `stylize` and `reconstruct`, as the command line gave them.
 
-    `size` is (width, height), as people say it; `output` may be "-".
+    `size` is (width, height), as people say it; `output` may be "-". With `each`, every style has
+    a scene of its own, and outputs are patterns (see `commands.each`).
     """
 
     command: str
@@ -44,6 +46,7 @@ class SceneRequest:
     threads: int | None
     json: bool
     quiet: bool
+    each: bool = False
 
     @property
     def scene_path(self) -> Path | None:
@@ -133,11 +136,12 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
     if request.video is not None and request.video.suffix.lower()[1:] not in MOVIES:
         known = ", ".join(f".{kind}" for kind in MOVIES)
         raise UsageError(f"--video {request.video}: the file's name must end in one of {known}")
-    outputs = (scene, request.video, request.preview, request.cameras_out)
     read = [*photos, *(style.path for style in request.styles)]
     if request.cameras is not None:
         read.append(request.cameras)
-    check_outputs([path for path in outputs if path is not None], read)
+    if request.each:
+        check_each(request)
+    check_outputs([path for one in one_by_one(request) for path in outputs_of(one)], read)
     for style in request.styles:
         if not style.path.exists():
             raise InputError(f"{style.path}: no such style picture")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from styl3r_cli import __version__
 from styl3r_cli.cameras.framing import uncropped
 from styl3r_cli.cameras.recover import Recovered, recover
 from styl3r_cli.cameras.stored import cameras_to_metadata
+from styl3r_cli.commands.each import one_by_one
 from styl3r_cli.commands.options import LOOP_FPS, LOOP_FRAMES
 from styl3r_cli.commands.report import print_report, scene_report
 from styl3r_cli.commands.request import Inputs, SceneRequest, load_inputs
@@ -34,14 +37,27 @@ def make_scene(request: SceneRequest) -> None:
     inputs = load_inputs(request, console)
     with console.stage("structure"):
         scene = inputs.stylizer.encode(inputs.photos)
+    with console.stage("cameras"):
+        recovered = _recover(scene, inputs.photos, console)
+    reports = []
+    for index, one in enumerate(one_by_one(request)):
+        styles = [inputs.styles[index]] if request.each else inputs.styles
+        reports.append(_make_one(one, replace(inputs, styles=styles), scene, recovered, console))
+    if request.json:
+        print_report({"scenes": reports} if request.each else reports[0])
+
+
+def _make_one(
+    request: SceneRequest, inputs: Inputs, scene: Scene, recovered: Recovered, console: Console
+) -> dict[str, Any]:
+    """Colour the scene and write its results; returns the report."""
+    earlier, start = dict(console.timings), console.elapsed()
     with console.stage("appearance"):
         pictures = [style.image for style in inputs.styles]
         weights = [style.weight for style in request.styles]
         gaussians, repairs = inputs.stylizer.gaussians(scene, pictures, weights, request.strength)
     if str(repairs):
         console.note(f"Gaussians repaired: {repairs}")
-    with console.stage("cameras"):
-        recovered = _recover(scene, inputs.photos, console)
     with console.stage("write"):
         _write(request, inputs, gaussians, recovered, console)
     if request.video:
@@ -49,8 +65,11 @@ def make_scene(request: SceneRequest) -> None:
     if request.preview:
         with console.stage("preview"):
             _draw_sheet(request, inputs, scene, gaussians, recovered)
-    if request.json:
-        print_report(scene_report(request, inputs, gaussians, repairs, recovered, console))
+    timings = console.timings | {"total": console.elapsed()}
+    if request.each:  # what this style took, after what all of them share
+        earlier["total"] = start
+        timings = {name: took - earlier.get(name, 0.0) for name, took in timings.items()}
+    return scene_report(request, inputs, gaussians, repairs, recovered, console.notes, timings)
 
 
 def _recover(scene: Scene, photos: Photos, console: Console) -> Recovered:

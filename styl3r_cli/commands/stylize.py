@@ -18,6 +18,7 @@ their names from standard input.
   styl3r stylize photos/ --style art.jpg -o scene.ply --video scene.mp4
   styl3r stylize a.jpg b.jpg --style one.jpg=2 --style other.jpg=1 --strength 0.7 -o scene.ply
   styl3r stylize photos/ --style art.jpg -o - | styl3r render - -o scene.mp4
+  styl3r stylize photos/ -s art.jpg -s ink.jpg --each -o out/{style}.ply
   find photos -name '*.jpg' | sort | styl3r stylize - --style art.jpg -o scene.ply
   find photos -name '*.jpg' -print0 | sort -z | styl3r stylize -0 - --style art.jpg -o scene.ply
 
@@ -34,6 +35,12 @@ Existing results are replaced; a photo or a style is never overwritten.
     multiple=True,
     required=True,
     help="A style picture; several are blended by their weights.",
+)
+@click.option(
+    "--each",
+    is_flag=True,
+    help="A scene for each style instead of one of their blend: the photos are read once, and "
+    "{style} in the outputs' names becomes the picture's name.",
 )
 @click.option(
     "--strength",

@@ -1,0 +1,84 @@
+"""`--each`: one scene a style from one run, and what its files are called."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from styl3r_cli.commands.options import STDOUT, WeightedStyle
+from styl3r_cli.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from styl3r_cli.commands.request import SceneRequest
+
+PLACE = "{style}"  # in an output's name, where the style's name goes
+
+
+def one_by_one(request: SceneRequest) -> list[SceneRequest]:
+    """The request for each of its scenes: with `--each` one per style, else itself.
+
+    Cameras are the same for every style, so only the first of them writes their file.
+    """
+    if not request.each:
+        return [request]
+    return [
+        replace(
+            request,
+            styles=(style,),
+            output=str(_named(request.scene_path, name)),
+            video=_named(request.video, name),
+            preview=_named(request.preview, name),
+            cameras_out=request.cameras_out if index == 0 else None,
+        )
+        for index, (style, name) in enumerate(
+            zip(request.styles, _names(request.styles), strict=True)
+        )
+    ]
+
+
+def outputs_of(request: SceneRequest) -> list[Path]:
+    """Every file that a request asks for."""
+    paths = (request.scene_path, request.video, request.preview, request.cameras_out)
+    return [path for path in paths if path is not None]
+
+
+def check_each(request: SceneRequest) -> None:
+    """Refuse names that several scenes would share, and make the folders of those they have.
+
+    Raises:
+        UsageError: an output has no place for the style's name.
+        OutputError: a folder cannot be made.
+    """
+    if request.output == STDOUT:
+        raise UsageError(f"--each writes several scenes; name them -o DIR/{PLACE}.ply")
+    for option, path in (
+        ("-o", request.scene_path),
+        ("--video", request.video),
+        ("--preview", request.preview),
+    ):
+        if path is not None and PLACE not in path.name:
+            raise UsageError(f"{option} {path}: with --each the file's name needs {PLACE} in it")
+    for path in outputs_of(request):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            message = f"cannot make the folder {path.parent}: {error.strerror}"
+            raise OutputError(message) from error
+
+
+def _names(styles: tuple[WeightedStyle, ...]) -> list[str]:
+    """A name per style: its file's, with a number where that is taken."""
+    names: list[str] = []
+    for style in styles:
+        name, number = style.path.stem, 2
+        while name in names:
+            name, number = f"{style.path.stem}-{number}", number + 1
+        names.append(name)
+    return names
+
+
+def _named(pattern: Path | None, name: str) -> Path | None:
+    if pattern is None:
+        return None
+    return pattern.with_name(pattern.name.replace(PLACE, name))

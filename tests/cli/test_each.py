@@ -1,0 +1,98 @@
+"""`styl3r stylize --each`: one scene a style, from photos that are read once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from styl3r_cli.formats import read_scene
+from styl3r_cli.pipeline import Stylizer
+
+Run = Callable[..., tuple[int, bytes, str]]
+
+
+@pytest.fixture
+def styles(tmp_path: Path, make_picture: Callable[..., Path]) -> list[Path]:
+    return [make_picture(tmp_path / f"style {n}.png", seed=90 + n) for n in range(3)]
+
+
+def options(styles: list[Path]) -> list[object]:
+    return [part for style in styles for part in ("--style", style)]
+
+
+def test_each_style_has_the_scene_that_it_has_alone(
+    run: Run,
+    photos: list[Path],
+    styles: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    encoded: list[int] = []
+    encode = Stylizer.encode
+    monkeypatch.setattr(
+        Stylizer, "encode", lambda self, given: encoded.append(1) or encode(self, given)
+    )
+    folder = tmp_path / "new" / "folder"
+    command = ("stylize", *photos, *options(styles), "--each", "--json")
+    cameras = tmp_path / "cameras.json"
+    code, out, err = run(
+        *command, "-o", folder / "{style}.ply", "--cameras-out", cameras, "--preview",
+        folder / "{style} sheet.png",
+    )  # fmt: skip
+    assert (code, encoded) == (0, [1]), err
+    names = [f"style {n}{end}" for n in range(3) for end in (" sheet.png", ".ply")]
+    assert sorted(path.name for path in folder.iterdir()) == sorted(names)
+    assert cameras.exists()
+    reports = json.loads(out)["scenes"]
+    assert [report["styles"][0]["path"] for report in reports] == [str(s) for s in styles]
+    for style, report in zip(styles, reports, strict=True):
+        alone = tmp_path / "alone.ply"
+        assert run("stylize", *photos, "--style", style, "-o", alone)[0] == 0
+        assert (folder / f"{style.stem}.ply").read_bytes() == alone.read_bytes()
+        assert report["outputs"]["scene"] == str(folder / f"{style.stem}.ply")
+    later, first = reports[1]["timings"], reports[0]["timings"]
+    assert later["structure"] == later["photos"] == 0
+    assert 0 < later["appearance"] < later["total"]
+    assert first["total"] > 0
+
+
+def test_styles_of_one_name_do_not_replace_each_other(
+    run: Run, photos: list[Path], make_picture: Callable[..., Path], tmp_path: Path
+) -> None:
+    (tmp_path / "other").mkdir()
+    twins = [make_picture(tmp_path / d / "art.png", seed=n) for n, d in enumerate((".", "other"))]
+    assert (
+        run("stylize", *photos, *options(twins), "--each", "-o", tmp_path / "{style}.ply")[0] == 0
+    )
+    first, second = (read_scene(tmp_path / f"{n}.ply").gaussians for n in ("art", "art-2"))
+    assert (first.means == second.means).all()
+    assert (first.colours != second.colours).any()
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (("-o", "scene.ply"), "{style}"),
+        (("-o", "-"), "-o DIR/{style}.ply"),
+        (("-o", "{style}.ply", "--video", "swing.mp4"), "--video swing.mp4"),
+        (("-o", "{style}.txt"), "{style}.txt"),
+    ],
+)
+def test_outputs_without_a_place_for_the_style_are_refused(
+    run: Run,
+    photos: list[Path],
+    styles: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    given: tuple[str, ...],
+    told: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    code, _, err = run("stylize", *photos, *options(styles), "--each", *given)
+    assert code == 2
+    assert told in err
+    assert sorted(tmp_path.iterdir()) == before
