@@ -24,8 +24,8 @@ STRUCTURE_OUTPUTS = {
     "opacities": 3,
     "content_tokens": 3,
 }
-APPEARANCE_INPUTS = {"content_tokens": 3, "style_images": 4, "style_weights": 1}
-APPEARANCE_OPTIONAL = {"images": 4}  # fed to the models whose colour head declares it
+APPEARANCE_INPUTS = {"style_images": 4, "style_weights": 1}
+APPEARANCE_OPTIONAL = {"content_tokens": 3, "images": 4}  # fed to the models that declare them
 APPEARANCE_OUTPUTS = {"colours": 4}
 
 # Optimising a structure graph pays within its first run where the arithmetic takes long, and not

@@ -15,14 +15,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from styl3r_export.model.bundle import Sides
-from styl3r_export.model.matching import SHARP, Matches, cell_rays
+from styl3r_export.model.matching import cell_rays
 from styl3r_export.model.refinement import (
     CELL,
     MAX_CORRECTION,
     OUTLIERS,
     Adjusted,
     adjust_scaled,
-    expect_near_peak,
     fuse,
     refine,
 )
@@ -123,32 +122,7 @@ def test_others_share_one_prior() -> None:
         assert float(fused[0, cell]) == pytest.approx(float(oracle[0]), abs=1e-6)
 
 
-def test_only_the_peak_and_its_neighbours_count() -> None:
-    """The first view's cells against the same sums over a window cut out by hand."""
-    rows, columns = 6, 8
-    generator = torch.Generator().manual_seed(4)
-    joint = torch.rand(1, 2, rows * columns, rows * columns, generator=generator)
-    joint[0, :, :5, 8 * 1 + 7] = 3.0  # a peak on the right edge
-    rays = cell_rays(INTRINSICS, rows, columns)[None, None]
-    found = expect_near_peak(joint.log(), rays, rays, (rows, columns))
-    for other in range(2):
-        for cell in range(rows * columns):
-            table = joint[0, other, cell].double().reshape(rows, columns)
-            row, column = divmod(int(table.argmax()), columns)
-            part = np.s_[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
-            weight, place = table[part], rays[0, 0].reshape(rows, columns, 2)[part].double()
-            mean = (weight[..., None] * place).sum((0, 1)) / weight.sum()
-            torch.testing.assert_close(
-                found.matched[0, other, cell].double(), mean, atol=1e-5, rtol=0
-            )
-            variance = (weight[..., None] * (place - mean) ** 2).sum() / weight.sum()
-            sharp = weight.sum() / (1 + variance / SHARP**2)
-            torch.testing.assert_close(
-                found.weight[0, other, cell].double(), sharp, atol=1e-4, rtol=0
-            )
-
-
-# ---------------------------------------------------------------------- from probabilities
+# ---------------------------------------------------------------------- from matches
 
 
 def plane_depth(motion: Motion, height: int, width: int) -> Tensor:
@@ -162,8 +136,8 @@ def plane_depth(motion: Motion, height: int, width: int) -> Tensor:
     return (distance - centre @ normal) / (world @ normal)
 
 
-def plane_scene(height: int = 96, width: int = 128) -> tuple[Motion, Tensor, Matches, Tensor]:
-    """One pair: its motion, true depths, soft matches around the true ones, intrinsics."""
+def plane_scene(height: int = 96, width: int = 128) -> tuple[Motion, Tensor, Sides]:
+    """One pair: its motion, true depths, and true matches where the other view sees them."""
     still = Motion(torch.tensor([[1.0, 0, 0, 0]]), torch.zeros(1, 3))
     half = math.radians(8) / 2
     motion = Motion(
@@ -176,15 +150,11 @@ def plane_scene(height: int = 96, width: int = 128) -> tuple[Motion, Tensor, Mat
         F.pad(rays, (0, 1), value=1.0) * d[3::CELL, 3::CELL].reshape(-1, 1) for d in depth
     )
     there = (there - motion.translation) @ rotation_matrix(motion.rotation[0])
-    logits = []
-    for points in (seen_from(motion, here[None])[0], there):
-        cells = torch.tensor([columns, rows]) * 0.9
-        away = ((points[:, None, :2] / points[:, None, 2:] - rays[None]) * cells).square().sum(-1)
-        logits.append(-2 * away)
-    matches = Matches(
-        logits[0].log_softmax(-1)[None, None], logits[1].T.log_softmax(-2)[None, None]
-    )
-    return motion, depth[None], matches, INTRINSICS.expand(1, 2, 3, 3)
+    other = torch.stack((seen_from(motion, here[None])[0], there))
+    matched = other[..., :2] / other[..., 2:]
+    seen = (matched.abs() < 0.5 / 0.9).all(-1).float()
+    own = F.pad(rays, (0, 1), value=1.0).expand(2, -1, -1)
+    return motion, depth[None], Sides(own, matched, seen, seen * 0 + 1, seen * 0 + 1)
 
 
 def plane_gap(motion: Motion, depth: Tensor) -> Tensor:
@@ -198,21 +168,20 @@ def plane_gap(motion: Motion, depth: Tensor) -> Tensor:
 
 
 def test_points_of_both_views_meet() -> None:
-    motion, depth, matches, intrinsics = plane_scene()
+    motion, depth, matches = plane_scene()
     guess = off_by(motion, 4, 0.08, torch.Generator().manual_seed(2))
     wave = torch.linspace(0, 9, 128).sin() * 0.1
     wrong = depth * torch.stack((torch.zeros(128), wave + 0.2)).exp()[None, :, None]
-    found = refine(guess, wrong, torch.full_like(wrong, -2.0), matches, intrinsics)
-    # Cells are wide and expected matches at the picture's edge are drawn inwards, so the planes
-    # come close, but do not become one.
+    found = refine(guess, wrong, torch.full_like(wrong, -2.0), matches)
+    # The smooth correction of the depths follows the wave's bends only in part.
     assert plane_gap(found.motion, found.depth) < plane_gap(guess, wrong) / 3
     assert angles(found.motion.rotation, motion.rotation) < 2
 
 
 def test_without_matches_nothing_moves() -> None:
-    motion, depth, matches, intrinsics = plane_scene()
-    nothing = Matches(*(torch.full_like(t, -60.0) for t in matches))
-    found = refine(motion, depth, torch.full_like(depth, -2.0), nothing, intrinsics)
+    motion, depth, matches = plane_scene()
+    nothing = matches._replace(weight=matches.weight * 0)
+    found = refine(motion, depth, torch.full_like(depth, -2.0), nothing)
     torch.testing.assert_close(found.motion.rotation, motion.rotation, rtol=0, atol=1e-6)
     torch.testing.assert_close(found.motion.translation, motion.translation, rtol=0, atol=1e-6)
     torch.testing.assert_close(found.depth, depth, rtol=1e-5, atol=0)
@@ -220,13 +189,12 @@ def test_without_matches_nothing_moves() -> None:
 
 @pytest.mark.parametrize("case", ["same view", "far", "near", "behind", "certain", "collapsed"])
 def test_hard_cases_stay_finite_and_bounded(case: str) -> None:
-    motion, depth, matches, intrinsics = plane_scene()
+    motion, depth, matches = plane_scene()
     error = torch.full_like(depth, -2.0)
-    rows = matches.forward.shape[-1]
-    diagonal = torch.eye(rows)[None, None] * 40 - 40
     if case == "same view":  # no baseline: depth is free
         motion = Motion(torch.tensor([[1.0, 0, 0, 0]]), torch.zeros(1, 3))
-        matches, depth = Matches(diagonal, diagonal), torch.ones_like(depth)
+        matches = matches._replace(matched=matches.rays[..., :2], weight=matches.prior)
+        depth = torch.ones_like(depth)
     elif case in ("far", "near"):
         depth = depth * (148 if case == "far" else 0.018)
     elif case == "behind":  # the guess looks the other way
@@ -234,11 +202,9 @@ def test_hard_cases_stay_finite_and_bounded(case: str) -> None:
     elif case == "certain":
         error = error * 0 - 4
     else:  # every cell matches the same one
-        one = torch.full_like(diagonal, -60.0)
-        one[..., 7] = 0
-        matches = Matches(one, one)
+        matches = matches._replace(matched=matches.matched * 0 + 0.1)
     inputs = [t.clone().requires_grad_() for t in (*motion, depth, error)]
-    found = refine(Motion(inputs[0], inputs[1]), inputs[2], inputs[3], matches, intrinsics)
+    found = refine(Motion(inputs[0], inputs[1]), inputs[2], inputs[3], matches)
     change = (found.depth / depth).log().abs().max()
     assert change <= MAX_CORRECTION + 1e-4
     assert all(t.isfinite().all() for t in (*found.motion, found.depth))
@@ -254,25 +220,25 @@ class Graph(nn.Module):
     """`refine` for one scene, with plain tensors at its edges."""
 
     def forward(
-        self, rotation: Tensor, translation: Tensor, depth: Tensor, forth: Tensor, back: Tensor
+        self, rotation: Tensor, translation: Tensor, depth: Tensor, rays: Tensor, matched: Tensor
     ) -> tuple[Tensor, ...]:
         """The refined motions and depths."""
-        intrinsics = INTRINSICS.expand(1, depth.shape[1], 3, 3)
-        motion = Motion(rotation, translation)
-        found = refine(motion, depth, depth * 0 - 2, Matches(forth, back), intrinsics)
+        one = torch.ones_like(matched[..., 0])
+        sides = Sides(rays, matched, one, one, one)
+        found = refine(Motion(rotation, translation), depth, depth * 0 - 2, sides)
         return (*found.motion, found.depth)
 
 
 def graph_inputs(others: int, seed: int) -> dict[str, Tensor]:
     generator = torch.Generator().manual_seed(seed)
-    motion, depth, matches, _ = plane_scene(64, 96)
+    motion, depth, matches = plane_scene(64, 96)
     motion = Motion(*(t.expand(others, -1) for t in motion))
     motion = off_by(motion, 2, 0.05, generator)
-    forth, back = (t.expand(-1, others, -1, -1).contiguous() for t in matches)
+    rays, matched = (t.repeat_interleave(others, dim=0) for t in matches[:2])
     depth = torch.cat((depth[:, :1], depth[:, 1:].expand(-1, others, -1, -1)), dim=1)
     depth = depth * (1 + 0.1 * torch.rand(depth.shape, generator=generator))
-    return dict(zip(("rotation", "translation", "depth", "forth", "back"),
-                    (*motion, depth, forth, back), strict=True))  # fmt: skip
+    return dict(zip(("rotation", "translation", "depth", "rays", "matched"),
+                    (*motion, depth, rays, matched), strict=True))  # fmt: skip
 
 
 @pytest.mark.slow
@@ -280,7 +246,7 @@ def test_the_graph_agrees_with_torch_for_any_number_of_views(tmp_path: Path) -> 
     inputs = graph_inputs(4, 0)
     others = torch.export.Dim("others", min=2, max=8)
     dims = {"rotation": {0: others}, "translation": {0: others}, "depth": {1: others + 1},
-            "forth": {1: others}, "back": {1: others}}  # fmt: skip
+            "rays": {0: 2 * others}, "matched": {0: 2 * others}}  # fmt: skip
     # The tracer falls back to fixed sizes in silence: other counts of views must run.
     path = tmp_path / "refine.onnx"
     with torch.no_grad(), contextlib.redirect_stdout(io.StringIO()):

@@ -14,7 +14,7 @@ from styl3r_export.curriculum.novel_views import NovelViewStep
 from styl3r_export.curriculum.perceptual import load_perceptual
 from styl3r_export.curriculum.pictures import PictureBank, flat_batches, training_pictures
 from styl3r_export.curriculum.stylization import StyleBatch, StyleStep, Teacher, style_batches
-from styl3r_export.curriculum.teachers import initialise_stem
+from styl3r_export.curriculum.teachers import initialise_flow, initialise_strokes
 from styl3r_export.curriculum.trainer import Schedule, Trainer
 
 
@@ -25,7 +25,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, required=True, help="folder of scene shards")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--start", type=Path, help="checkpoint to start from")
-    parser.add_argument("--stem", type=Path, help="RAFT-small weights (.npz) for a new stem")
+    parser.add_argument("--flow", type=Path, help="RAFT-small weights (.npz) for a new network")
     parser.add_argument("--styles", type=Path, help="folder of paintings")
     parser.add_argument("--style-sources", type=Path, help="CSV naming public-domain paintings")
     parser.add_argument("--photos", type=Path, help="folder of photographs")
@@ -37,6 +37,10 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--batch", type=int, default=16, help="scenes of two views a step")
     parser.add_argument("--views", type=int, nargs="+", default=[2])
     parser.add_argument("--learning-rate", type=float, default=3e-4)
+    parser.add_argument(
+        "--frozen", action="store_true", help="novel views: leave depths and cameras as they are"
+    )
+    parser.add_argument("--microast", type=Path, help="MicroAST weights (.npz) for new colours")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--device", default="cpu")
@@ -52,10 +56,12 @@ def main() -> None:
     """Run the stage; start the same command again to go on."""
     args = parse()
     torch.manual_seed(args.seed)
+    # Optimiser states decay to denormal numbers, on which CPUs are up to ten times slower.
+    torch.set_flush_denormal(True)
     torch.set_num_threads(args.threads)
     trains = {
         "geometry": stages.geometry_trains,
-        "novel-views": stages.novel_views_train,
+        "novel-views": stages.attributes_train if args.frozen else stages.novel_views_train,
         "style": stages.appearance_trains,
     }
     trainer = Trainer(
@@ -65,15 +71,19 @@ def main() -> None:
         start=args.start,
         device=args.device,
     )
-    if args.stem and trainer.step == 0 and not args.start:
-        initialise_stem(trainer.model, args.stem)
+    if args.flow and trainer.step == 0 and not args.start:
+        initialise_flow(trainer.model, args.flow)
+    if args.microast and trainer.step == 0 and not args.start:
+        initialise_strokes(trainer.model, args.microast)
     seed = args.seed + trainer.step  # a resumed run does not repeat its first batches
-    scenes = data.prefetch(data.batches(args.data, seed, args.batch, tuple(args.views)))
+    # Not ahead in a thread: batches take a hundredth of a step, and torch's threads of two
+    # callers wait for each other, which made steps a third slower.
+    scenes = data.batches(args.data, seed, args.batch, tuple(args.views))
     if args.stage == "geometry":
         trainer.run(scenes, stages.geometry_step, seconds=args.seconds)
     elif args.stage == "novel-views":
-        step = NovelViewStep(load_perceptual(args.perceptual))
-        triples = data.prefetch(data.batches(args.data, seed, args.batch, (3,)))
+        step = NovelViewStep(load_perceptual(args.perceptual), geometry_too=not args.frozen)
+        triples = data.batches(args.data, seed, args.batch, (3,))
         trainer.run(triples, step, seconds=args.seconds)
     else:
         batches, style_step = style_stage(args, scenes, seed)

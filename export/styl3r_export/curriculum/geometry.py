@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxtyping import Bool, Float, Int
+import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
 from styl3r_export.curriculum.data import Batch
 from styl3r_export.model.adapter import Pose, pixel_rays
-from styl3r_export.model.matching import Matches
+from styl3r_export.model.flow import Flows
 from styl3r_export.model.network import RayDecoding
 from styl3r_export.model.rotations import rotate_vectors, rotation_matrix
 
@@ -19,6 +20,16 @@ FAR = 40.0
 # A projected depth this much (relative) behind the depth map is hidden by something.
 OCCLUSION = 0.05
 
+# In front of a camera by at least this depth, in units.
+NEAR = 1e-3
+# Weight of cells that the other view does not see, beside one that it does.
+HIDDEN_WEIGHT = 0.2
+# Weight of each round's flow beside the next one's (RAFT).
+ROUND_DECAY = 0.8
+# Under the square root of an error, in cells: a twelfth of a pixel counts as none.
+ROOT_FLOOR = 0.01
+# Flow errors that the expected error is asked to foresee, in cells, at most.
+MOST_CELLS = 12.0
 # A camera this wrong (radians, units) has failed: more of it should not outweigh the rest.
 MOST_TURN, MOST_SHIFT = 0.6, 1.0
 # Keeps a square root's slope finite at zero.
@@ -31,21 +42,23 @@ WEIGHTS = {
     "rotation": 4.0,  # radians
     "centre": 2.0,  # scene units
     "points": 1.0,  # point maps in the first view's frame, relative to depth
-    "matches": 0.5,  # InfoNCE at 1/8 (MASt3R)
+    "flow": 0.5,  # root of the end-point error, every round (RAFT's sequence loss)
+    "spread": 0.2,  # Laplace likelihood of the flow's expected error
 }
 
 
 class Target(NamedTuple):
-    """Where each 1/8 cell of one view lies in another: its cell there, and whether it is seen."""
+    """Where the 1/8 cells of one view move to in another."""
 
-    cell: Int[Tensor, "batch others cells"]
-    seen: Bool[Tensor, "batch others cells"]
+    flow: Float[Tensor, "... 2 h w"]  # in cells
+    seen: Bool[Tensor, "... h w"]  # inside the other picture, and not hidden there
+    known: Bool[Tensor, "... h w"]  # hidden or a little outside, but the flow can be guessed
 
 
 def geometry_losses(out: RayDecoding, batch: Batch) -> dict[str, Tensor]:
     """All terms of the stage, unweighted."""
     truth = batch.depth.clamp_max(FAR).log()
-    guess = out.depth.float().log()
+    guess = out.decoded.float().log()
     error = (guess - truth).abs()
     log_error = out.log_error.float()
     return {
@@ -54,20 +67,17 @@ def geometry_losses(out: RayDecoding, batch: Batch) -> dict[str, Tensor]:
         "edges": edge_loss(guess - truth),
         **camera_losses(out, batch),
         "points": point_loss(out, batch),
-        "matches": match_loss(out.matches, batch)
-        if out.matches is not None
-        else error.new_zeros(()),
+        **flow_losses(out.flows, batch),
     }
 
 
 def camera_losses(out: RayDecoding, batch: Batch) -> dict[str, Tensor]:
-    """Errors of the cameras at every stage of their making; the last counts in full."""
-    total = {"rotation": batch.depth.new_zeros(()), "centre": batch.depth.new_zeros(())}
-    for pose, share in ((out.pose, 1.0), (out.guessed, 0.3), (out.suggested, 0.3)):
-        rotation, centre = camera_errors(pose, batch)
-        total["rotation"] = total["rotation"] + share * rotation.clamp_max(MOST_TURN).mean()
-        total["centre"] = total["centre"] + share * centre.clamp_max(MOST_SHIFT).mean()
-    return total
+    """Errors of the decoded cameras."""
+    rotation, centre = camera_errors(out.guessed, batch)
+    return {
+        "rotation": rotation.clamp_max(MOST_TURN).mean(),
+        "centre": centre.clamp_max(MOST_SHIFT).mean(),
+    }
 
 
 def camera_errors(pose: Pose, batch: Batch) -> tuple[Tensor, Tensor]:
@@ -93,12 +103,12 @@ def edge_loss(residual: Float[Tensor, "batch views H W"]) -> Tensor:
 
 def point_loss(out: RayDecoding, batch: Batch) -> Tensor:
     """Distance of predicted to true points of all views, at 1/8 size, relative to their depth."""
-    depth = out.depth.float()[..., 4::8, 4::8]
+    depth = out.decoded.float()[..., 4::8, 4::8]
     truth = batch.depth.clamp_max(FAR)[..., 4::8, 4::8]
     height, width = batch.depth.shape[-2:]
     rays = pixel_rays(batch.intrinsics, height, width)[:, :, 4::8, 4::8]
-    guess = rotate_vectors(out.pose.rotation[:, :, None, None], rays * depth[..., None])
-    guess = guess + out.pose.centre[:, :, None, None]
+    guess = rotate_vectors(out.guessed.rotation[:, :, None, None], rays * depth[..., None])
+    guess = guess + out.guessed.centre[:, :, None, None]
     world = to_world(rays * truth[..., None], batch.extrinsics)
     return ((guess - world).norm(dim=-1) / truth).clamp_max(3).mean()
 
@@ -112,10 +122,19 @@ def to_world(
     return (rotation.transpose(-1, -2) @ moved[..., None]).squeeze(-1)
 
 
-def cell_targets(batch: Batch, source: slice, target: slice) -> Target:
-    """Project each 1/8 cell's centre of the source views into the target views."""
+def flow_targets(batch: Batch) -> Target:
+    """True flow of every 1/8 cell, the first view's to all others, behind them theirs back."""
+    forth = project_cells(batch, slice(0, 1), slice(1, None))
+    back = project_cells(batch, slice(1, None), slice(0, 1))
+    flow, seen, known = (
+        torch.cat((a.flatten(0, 1), b.flatten(0, 1))) for a, b in zip(forth, back, strict=True)
+    )
+    return Target(flow, seen, known)
+
+
+def project_cells(batch: Batch, source: slice, target: slice) -> Target:
+    """Where the points on the source views' cells are in the target views."""
     height, width = batch.depth.shape[-2:]
-    rows, columns = height // 8, width // 8
     rays = pixel_rays(batch.intrinsics, height, width)[:, source, 4::8, 4::8]
     points = rays * batch.depth[:, source, 4::8, 4::8, None]
     world = to_world(points, batch.extrinsics[:, source])
@@ -123,30 +142,36 @@ def cell_targets(batch: Batch, source: slice, target: slice) -> Target:
     seen_at = (w2c[..., :3, :3] @ world[..., None]).squeeze(-1) + w2c[..., :3, 3]
     z = seen_at[..., 2]
     k = batch.intrinsics[:, target, None, None]
-    u = seen_at[..., 0] / z.clamp_min(1e-3) * k[..., 0, 0] + k[..., 0, 2]
-    v = seen_at[..., 1] / z.clamp_min(1e-3) * k[..., 1, 1] + k[..., 1, 2]
-    inside = (z > 1e-3) & (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
-    column = (u * columns).long().clamp(0, columns - 1)
-    row = (v * rows).long().clamp(0, rows - 1)
-    cell = (row * columns + column).flatten(2)
+    u = seen_at[..., 0] / z.clamp_min(NEAR) * k[..., 0, 0] + k[..., 0, 2]
+    v = seen_at[..., 1] / z.clamp_min(NEAR) * k[..., 1, 1] + k[..., 1, 2]
+    inside = (z > NEAR) & (u >= 0) & (u < 1) & (v >= 0) & (v < 1)
     pixel_x = (u * width).long().clamp(0, width - 1)
     pixel_y = (v * height).long().clamp(0, height - 1)
     depth = batch.depth[:, target].expand(-1, z.shape[1], -1, -1).flatten(2)
-    there = depth.gather(2, (pixel_y * width + pixel_x).flatten(2))
-    visible = z.flatten(2) < there * (1 + OCCLUSION)
-    return Target(cell, inside.flatten(2) & visible)
+    there = depth.gather(2, (pixel_y * width + pixel_x).flatten(2)).view_as(z)
+    visible = inside & (z < there * (1 + OCCLUSION))
+    y = (torch.arange(z.shape[-2], device=z.device) * 8 + 4.5)[:, None] / height
+    x = (torch.arange(z.shape[-1], device=z.device) * 8 + 4.5) / width
+    flow = torch.stack(((u - x) * width / 8, (v - y) * height / 8), dim=2)
+    known = (z > NEAR) & ((u - 0.5).abs() < 1) & ((v - 0.5).abs() < 1)
+    return Target(flow, visible, known)
 
 
-def match_loss(matches: Matches, batch: Batch) -> Tensor:
-    """Cross-entropy of each visible cell's match, both directions."""
-    there = cell_targets(batch, slice(0, 1), slice(1, None))
-    back = cell_targets(batch, slice(1, None), slice(0, 1))
-    total = matches.forward.new_zeros(())
-    for log_probability, target in (
-        (matches.forward, there),
-        (matches.backward.transpose(-1, -2), back),
-    ):
-        picked = log_probability.gather(-1, target.cell[..., None]).squeeze(-1)
-        seen = target.seen.float()
-        total = total - (picked * seen).sum() / seen.sum().clamp_min(1)
-    return total / 2
+def flow_losses(flows: Flows, batch: Batch) -> dict[str, Tensor]:
+    """Errors of the flow after every round, and the likelihood of the expected error."""
+    target = flow_targets(batch)
+    weight = torch.where(target.seen, 1.0, HIDDEN_WEIGHT) * target.known
+    total = weight.sum().clamp_min(1)
+    loss = flows.log_spread.new_zeros(())
+    for age, flow in enumerate(reversed(flows.rounds)):
+        error = (flow - target.flow).square().sum(dim=1).add(TINY).sqrt()
+        # A square root: matches that are lost altogether must not drown those nearly right.
+        loss = loss + ROUND_DECAY**age * ((error + ROOT_FLOOR).sqrt() * weight).sum() / total
+    spread = flows.log_spread
+    likely = error_of_last(flows, target) * (-spread).exp() + spread
+    return {"flow": loss, "spread": (likely * target.known).sum() / target.known.sum().clamp_min(1)}
+
+
+def error_of_last(flows: Flows, target: Target) -> Tensor:
+    """Distance of the final flow from the truth in cells; the flow gets no gradient from it."""
+    return (flows.rounds[-1].detach() - target.flow).norm(dim=1).clamp_max(MOST_CELLS)

@@ -26,20 +26,25 @@ NEAR = 0.02
 class NovelViewStep:
     """Three views in walking order: the outer two go in, the middle one is rendered."""
 
-    def __init__(self, perceptual: nn.Module) -> None:
+    def __init__(self, perceptual: nn.Module, geometry_too: bool = True) -> None:
+        """Without `geometry_too` only the Gaussians' other attributes learn: twice as fast."""
         self.perceptual = perceptual
+        self.geometry_too = geometry_too
 
     def __call__(self, model: Styl3r, batch: Batch) -> dict[str, Tensor]:
         """Weighted losses: the geometry stage's on the two inputs, and the rendered view's."""
         inputs = Batch(*(field[:, ::2] for field in batch))
-        content = model.encode(inputs.images, inputs.intrinsics)
-        rays = model.decode_rays(content, inputs.images, inputs.intrinsics)
+        with torch.set_grad_enabled(self.geometry_too):
+            content = model.encode(inputs.images, inputs.intrinsics)
+            rays = model.decode_rays(content, inputs.images, inputs.intrinsics)
         rows, columns = (s // 16 for s in inputs.images.shape[-2:])
         pictures = to_network(inputs.images).flatten(0, 1)
         params = model.gaussian_param_head(rays.hooks, rows, columns, pictures, content.pyramid)
         with torch.autocast("cpu", enabled=False):
-            losses = geometry_losses(rays, inputs)
-            weighted = {n: GEOMETRY_WEIGHTS[n] * v for n, v in losses.items()}
+            weighted = {}
+            if self.geometry_too:
+                losses = geometry_losses(rays, inputs)
+                weighted = {n: GEOMETRY_WEIGHTS[n] * v for n, v in losses.items()}
             params = params.unflatten(0, inputs.images.shape[:2])
             # True cameras and one scale a scene: the Gaussians learn to be seen from between
             # the views without having to make up for a camera that is still being learnt.

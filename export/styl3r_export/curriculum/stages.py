@@ -10,7 +10,7 @@ from styl3r_export.curriculum.geometry import WEIGHTS, geometry_losses
 from styl3r_export.model import Styl3r
 
 # Parts that the geometry stage leaves alone: it makes neither Gaussians nor colours.
-APPEARANCE = ("token_stylizer.", "gaussian_appearance_head.")
+APPEARANCE = ("token_stylizer.", "gaussian_appearance_head.", "strokes.")
 ATTRIBUTES = ("gaussian_param_head.",)
 # Present in every checkpoint, used by nothing.
 UNUSED = ("mask_token", "refinenet4.resConfUnit1")
@@ -31,10 +31,15 @@ def novel_views_train(name: str) -> bool:
     return used(name) and not name.startswith(APPEARANCE)
 
 
+def attributes_train(name: str) -> bool:
+    """Opacities, scales and rotations alone."""
+    return used(name) and name.startswith(ATTRIBUTES)
+
+
 def geometry_step(model: Styl3r, batch: Batch) -> dict[str, Tensor]:
     """Weighted losses of one batch of the geometry stage."""
     content = model.encode(batch.images, batch.intrinsics)
-    out = model.decode_rays(content, batch.images, batch.intrinsics)
+    out = model.decode_rays(content, batch.images, batch.intrinsics, refined_too=False)
     with torch.autocast(batch.images.device.type, enabled=False):
         losses = geometry_losses(out, batch)
     return {name: WEIGHTS[name] * value for name, value in losses.items()}

@@ -73,8 +73,10 @@ class StyleStep:
     def __call__(self, model: Styl3r, batch: StyleBatch) -> dict[str, Tensor]:
         """Losses by name."""
         images = batch.scenes.images
-        with torch.no_grad():
-            tokens = model.encode(images, batch.scenes.intrinsics).tokens
+        tokens = None
+        if model.config.colours == "tokens":
+            with torch.no_grad():
+                tokens = model.encode(images, batch.scenes.intrinsics).tokens
         own = images[:, 0]
         if model.config.photo_as_style == "signed":
             own = own * 2 - 1
@@ -110,7 +112,7 @@ class StyleStep:
 
 
 def stylise(
-    model: Styl3r, tokens: Tensor, styles: Tensor, weights: Tensor, images: Tensor
+    model: Styl3r, tokens: Tensor | None, styles: Tensor, weights: Tensor, images: Tensor
 ) -> Float[Tensor, "batch views 3 H W"]:
     """Colours as pictures."""
     weights = weights.expand(len(images), -1)

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from styl3r_export.model import Styl3r
+from styl3r_export.model.flow import Flow
+from styl3r_export.model.stem import PyramidStem
 
 
 def load_npz(path: Path) -> dict[str, Tensor]:
@@ -21,12 +23,25 @@ def load_npz(path: Path) -> dict[str, Tensor]:
         return {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in arrays.files}
 
 
-def initialise_stem(model: Styl3r, raft: Path) -> None:
-    """Load RAFT-small's feature encoder (Teed and Deng, ECCV 2020; BSD-3) into the stem."""
-    prefix = "fnet."
-    weights = {
-        name[len(prefix) :].replace("downsample.0", "downsample"): value
-        for name, value in load_npz(raft).items()
-        if name.startswith(prefix)
-    }
-    model.backbone.stem.load_state_dict(weights)
+def initialise_flow(model: Styl3r, raft: Path) -> None:
+    """Load RAFT-small into a network's stem and matching."""
+    load_flow(model.backbone.stem, model.matching.flow, raft)
+
+
+def load_flow(stem: PyramidStem, flow: Flow, raft: Path) -> None:
+    """RAFT-small (Teed and Deng, ECCV 2020; BSD-3): both encoders and the recurrent unit.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+    """
+    weights = {n.replace("downsample.0", "downsample"): v for n, v in load_npz(raft).items()}
+    parts = {"fnet.": stem, "cnet.": flow.cnet, "update_block.": flow.update_block}
+    for prefix, part in parts.items():
+        part.load_state_dict(
+            {n.removeprefix(prefix): v for n, v in weights.items() if n.startswith(prefix)}
+        )
+
+
+def initialise_strokes(model: Styl3r, microast: Path) -> None:
+    """Load MicroAST (Wang et al., AAAI 2023; MIT) as the appearance branch."""
+    model.strokes.load_state_dict(load_npz(microast))

@@ -57,7 +57,9 @@ class Trainer:
         start: Path | None = None,
         config: str = "mini",
         device: str = "cpu",
-        pretrained: Callable[[str], bool] = lambda name: name.startswith("backbone.stem."),
+        pretrained: Callable[[str], bool] = lambda name: name.startswith(
+            ("backbone.stem.", "matching.flow.cnet.", "matching.flow.update_block.")
+        ),
     ) -> None:
         self.folder = folder
         self.schedule = schedule

@@ -148,12 +148,3 @@ def log_error_of(raw: Float[Tensor, "batch views H W"]) -> Float[Tensor, "batch 
 def colours_from_sh(raw: Float[Tensor, "batch views 3 H W"]) -> Float[Tensor, "batch views H W 3"]:
     """The published colours: degree-0 SH coefficients to sRGB (a renderer clamps them at 0)."""
     return SH_C0 * raw.movedim(2, -1) + 0.5
-
-
-def colours_from_affine(
-    raw: Float[Tensor, "batch views 12 H W"], images: Float[Tensor, "batch views 3 H W"]
-) -> Float[Tensor, "batch views H W 3"]:
-    """Each pixel's own 3x4 matrix (plus the identity), applied to its colour."""
-    matrix = raw[:, :, :9].unflatten(2, (3, 3))
-    mixed = (matrix * images[:, :, None]).sum(dim=3)
-    return (images + mixed + raw[:, :, 9:]).movedim(2, -1)

@@ -15,9 +15,12 @@ from styl3r_export.model.rotations import Motion, multiply_quaternions, rotation
 
 # Relative Levenberg damping.
 DAMPING = 1e-3
+# Standard deviation of a good match, in ray units (1 is the focal length): a pixel of a 256 px
+# picture. It weighs matches against the priors; how large an error makes an outlier is apart.
+NOISE = 0.005
 # How far (radians, scene units) the first guess of a motion is trusted to be off: what decides
 # where matches say nothing.
-GUESS_ERROR = 0.2
+GUESS_ERROR = 1.0
 # Largest step of one iteration: radians, and units of the scene.
 MAX_TURN, MAX_STEP = 0.25, 0.3
 # Bounds of inverse depth (the scene's unit is its median depth).
@@ -179,7 +182,7 @@ def normal_equations(both: BothWays, sides: Sides, rho: Tensor, outlier: float |
     squared = residual.square().sum(dim=-1) / outlier**2
     # Geman-McClure: the weight of a gross outlier falls with the fourth power of its error.
     robust = 1 / (1 + squared).square()
-    weight = sides.weight * robust * (y[..., 2] > FRONT).to(y.dtype) / outlier**2
+    weight = sides.weight * robust * (y[..., 2] > FRONT).to(y.dtype) / NOISE**2
     weighted = (by_pose * weight[..., None, None]).flatten(1, 2).transpose(-1, -2)
     depth_weighted = by_depth * weight[..., None]
     return Normal(

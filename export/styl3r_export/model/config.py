@@ -41,19 +41,17 @@ class ModelConfig:
     # "patchify": one 16x16 convolution. "pyramid": a convolutional stem to 1/8, whose maps at
     # 1/2, 1/4 and 1/8 also reach the structure heads (fine edges that 16 px tokens lose).
     stem: Literal["patchify", "pyramid"] = "patchify"
-    # A softmax correlation of the stem's maps between the first view and every other one, given
-    # to the structure decoder's tokens, so that attention need not invent matching.
-    matching: bool = False
+    # Rounds of the recurrent flow on the stem's maps that matches the first view with every other
+    # one, where points lie on rays: attention need not invent matching.
+    flow_rounds: int = 8
     # "free": the point head gives points in the first view's frame (published).
-    # "rays": it gives depth along each pixel's ray, and the intrinsics token gives the camera.
+    # "rays": it gives depth along each pixel's ray, cameras come from matches by bundle adjustment
+    # and the intrinsics token, and matches pull depths to where the views' points meet.
     points: Literal["free", "rays"] = "free"
-    # After decoding, matches adjust the cameras alone ("cameras"), or a scale for each view and the
-    # depths as well, so that the views' points meet ("depths").
-    refinement: Literal["cameras", "depths"] = "cameras"
-    # Colours: "sh": the head's output is the SH DC coefficient (published). "affine": the photos
-    # in the style's palette, and a 3x4 matrix a pixel from the head that is applied to them, so
-    # that fine detail need not be redrawn.
-    colours: Literal["sh", "affine"] = "sh"
+    # Colours: "tokens": the stylization decoder's tokens give the SH DC coefficient (published).
+    # "strokes": local convolutions in a style's statistics draw the photos anew, which learn from
+    # pictures alone and carry brush strokes that 16 px tokens lose.
+    colours: Literal["tokens", "strokes"] = "tokens"
     # Range of a content photo that stands in for a style; paintings are always in [0, 1]
     # (spec section 7: the published network reads the two differently).
     photo_as_style: Literal["signed", "unit"] = "signed"
@@ -87,19 +85,15 @@ MINI = ModelConfig(
     head_dim=32,
     encoder_dim=192,
     encoder_depth=4,
-    style_depth=3,
     decoder_dim=192,
     decoder_depth=6,
-    stylizer_depth=4,
     hooks=(2, 4, 6),
     head_maps=(32, 48, 96, 96),
     head_features=48,
     point_features=32,
     stem="pyramid",
-    matching=True,
     points="rays",
-    refinement="depths",
-    colours="affine",
+    colours="strokes",
     photo_as_style="unit",
 )
 

@@ -143,10 +143,8 @@ class PointTrunk(Trunk):
 class GaussianTrunk(Trunk):
     """Structure or colours: the last convolutions run at full size, beside the picture's own."""
 
-    def __init__(self, config: ModelConfig, out_channels: int, *, image: str) -> None:
-        """`image`: "none", "add" (published structure head) or "gate" (mini's colours)."""
-        stem_skip = config.stem == "pyramid" and image == "add"
-        super().__init__(config, stem_skip=stem_skip)
+    def __init__(self, config: ModelConfig, out_channels: int, *, with_image: bool) -> None:
+        super().__init__(config, stem_skip=with_image and config.stem == "pyramid")
         features = config.head_features
         self.head = nn.Sequential(
             nn.Conv2d(features, features, 3, padding=1, bias=False),
@@ -155,11 +153,9 @@ class GaussianTrunk(Trunk):
             nn.Identity(),
             nn.Conv2d(features, out_channels, 1),
         )
-        if image != "none":
+        self.with_image = with_image
+        if with_image:
             self.input_merger = nn.Sequential(nn.Conv2d(3, features, 7, padding=3), nn.ReLU())
-        if image == "gate":
-            self.input_gate = nn.Conv2d(features, features, 1)
-        self.image = image
 
     def forward(
         self,
@@ -170,13 +166,9 @@ class GaussianTrunk(Trunk):
         pyramid: Pyramid | None = None,
     ) -> Float[Tensor, "batch channels H W"]:
         """Raw channels a pixel; `images` in [-1, 1]."""
-        fused = self.fuse(hooks, rows, columns, pyramid)
-        x = upsample(fused)
-        if self.image != "none":
-            detail = self.input_merger(images)
-            if self.image == "gate":  # what the style makes of each kind of image detail
-                detail = detail * upsample(self.input_gate(fused))
-            x = x + detail
+        x = upsample(self.fuse(hooks, rows, columns, pyramid))
+        if self.with_image:
+            x = x + self.input_merger(images)
         return self.head[4](F.relu(self.head[0](x)))
 
 

@@ -1,8 +1,7 @@
-"""Softmax correlation between the first view and every other: matches given to the decoder."""
+"""Matches between the first view and every other, cameras from them, and what tokens hear of it."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -10,8 +9,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from styl3r_export.model.bundle import Fit, Sides, adjust, fit
+from styl3r_export.model.bundle import NOISE, Fit, Sides, adjust, fit
 from styl3r_export.model.config import ModelConfig
+from styl3r_export.model.flow import Flow, Flows
 from styl3r_export.model.rotations import Motion, full_precision
 
 # Numbers that describe the match of one 1/8 cell; four cells make one 16 px token.
@@ -21,24 +21,16 @@ CELLS_PER_TOKEN = 4
 TINY = 1e-6
 
 # Before anything is decoded, every cell is at the scene's unit depth, give or take a factor of
-# about 1.3 (stiffness is the inverse square of inverse depth's expected error).
-FLAT_STIFFNESS = 10.0
-# Errors at which matches are discounted, by iteration: from a standing camera, then from the
-# decoder's cameras (ray units; a cell of a 256 px picture is about 0.03 wide).
-FIRST_OUTLIERS = (0.5, 0.28, 0.16, 0.09, 0.06)
-LAST_OUTLIERS = (0.12, 0.06, 0.03)
-# Spread of a match (ray units) that halves its weight.
-SHARP = 0.05
-
-# Sharpness of the softmax at the start: flow features matched real photos best at 2 to 4.
-INITIAL_TEMPERATURE = 3.0
-
-
-class Matches(NamedTuple):
-    """Log-probabilities of all cell pairs of each view with the first (view 0 left out)."""
-
-    forward: Float[Tensor, "batch others cells cells"]  # rows: view 0's cells, over the other's
-    backward: Float[Tensor, "batch others cells cells"]  # the same pairs, over view 0's cells
+# about e (stiffness is the inverse square of inverse depth's expected error).
+FLAT_STIFFNESS = 1.0
+# Bounds of the log depth that triangulation suggests: matches that say more are mistaken.
+MOST_LOG_DEPTH = 2.0
+# Errors (ray units; 1 is the focal length, a cell of a 256 px picture about 0.03) at which matches
+# are discounted, by iteration: from standing cameras every true match looks like an outlier first.
+OUTLIERS = (
+    0.5, 0.5, 0.4, 0.4, 0.3, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.03, 0.03, 0.02, 0.02,
+    0.015, 0.01,
+)  # fmt: skip
 
 
 def cell_rays(
@@ -60,103 +52,147 @@ class Pairs(NamedTuple):
 
     sides: Sides
     motion: Motion
+    flows: Flows  # of both sides, (2 * pairs) first
+    log_depth: Float[Tensor, "batch views h w"]  # triangulated; near 0 where matches say nothing
 
 
 class StarMatching(nn.Module):
     """Match every view with the first one, and describe the matches token by token."""
 
-    def __init__(self, config: ModelConfig, channels: int) -> None:
+    def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         dim = config.decoder_dim
         width = CELL_FEATURES * CELLS_PER_TOKEN
-        self.log_temperature = nn.Parameter(torch.tensor(math.log(INITIAL_TEMPERATURE)))
+        self.flow = Flow(config.flow_rounds)
         self.first = nn.Sequential(nn.Linear(width, dim), nn.GELU(), nn.Linear(dim, dim))
         self.rest = nn.Sequential(nn.Linear(width, dim), nn.GELU(), nn.Linear(dim, dim))
         self.camera = nn.Linear(7, dim)
-        self.scale = 1 / math.sqrt(channels)
 
-    def correlate(self, maps: Float[Tensor, "batch views channels h w"]) -> Matches:
-        """Softmax over all cells of the other view, in both directions."""
-        f = maps.flatten(3).float()
-        corr = torch.einsum("bcp,bvcq->bvpq", f[:, 0], f[:, 1:])
-        corr = corr * (self.scale * self.log_temperature.exp())
-        return Matches(F.log_softmax(corr, dim=-1), F.log_softmax(corr, dim=-2))
+    def both_flows(
+        self,
+        maps: Float[Tensor, "batch views channels h w"],
+        images: Float[Tensor, "batch views 3 H W"],
+    ) -> Flows:
+        """From the first view to every other, and behind them back from those."""
+        context = self.flow.context(images.flatten(0, 1)).unflatten(0, maps.shape[:2])
 
-    def solve(self, maps: Tensor, intrinsics: Tensor) -> tuple[Matches, Pairs, Tensor, Tensor]:
-        """Matches, cameras from them, and what the cells of both sides of each pair know."""
-        rows, columns = maps.shape[-2:]
-        matches = self.correlate(maps)
-        rays = cell_rays(intrinsics, rows, columns)
-        joint = (matches.forward + matches.backward).exp()
-        here = expect(joint, rays[:, :1], rays[:, 1:])
-        there = expect(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1])
-        own, matched, weight, variance = (
-            torch.cat((a.flatten(0, 1), b.flatten(0, 1))) for a, b in zip(here, there, strict=True)
-        )
-        one = torch.ones_like(weight)
-        sides = Sides(F.pad(own, (0, 1), value=1.0), matched, weight, one, one * FLAT_STIFFNESS)
-        motion, rho = adjust(standing(own), sides, FIRST_OUTLIERS)
-        numbers = describe(sides, variance, rho, fit(motion, sides, rho))
+        def first_and_rest(t: Tensor) -> tuple[Tensor, Tensor]:
+            rest = t[:, 1:]
+            return t[:, :1].expand_as(rest).flatten(0, 1), rest.flatten(0, 1)
+
+        first, rest = first_and_rest(maps)
+        source = torch.cat((first, rest))
+        target = torch.cat((rest, first))
+        return self.flow(source, target, torch.cat(first_and_rest(context)))
+
+    @staticmethod
+    @torch.no_grad()
+    def solve(flows: Flows, intrinsics: Tensor) -> tuple[Pairs, Tensor, Tensor]:
+        """Cameras from flows, and what the cells of both sides of each pair know.
+
+        Flows learn from their own errors: no gradient comes back through the cameras.
+        """
+        sides, variance = sides_of(flows, intrinsics)
+        motion, rho = adjust(standing(sides.rays), sides, OUTLIERS)
+        fitted = fit(motion, sides, rho)
+        numbers = describe(sides, variance, rho, fitted)
+        batch = (intrinsics.shape[0], intrinsics.shape[1] - 1)
+        depth = triangulated(rho, fitted, batch).unflatten(-1, flows.log_spread.shape[-2:])
         pairs = motion.translation.shape[0]
-        first, rest = numbers[:pairs], numbers[pairs:]
-        return matches, Pairs(sides, motion), first, rest
+        return Pairs(sides, motion, flows, depth), numbers[:pairs], numbers[pairs:]
 
     def forward(
         self,
         maps: Float[Tensor, "batch views channels h w"],
+        images: Float[Tensor, "batch views 3 H W"],
         intrinsics: Float[Tensor, "batch views 3 3"],
-    ) -> tuple[Float[Tensor, "batch views tokens+1 dim"], Matches, Pairs]:
+    ) -> tuple[Float[Tensor, "batch views tokens+1 dim"], Pairs]:
         """What to add to the decoder's tokens, the matches, and the cameras they suggest."""
         rows, columns = maps.shape[-2:]
+        flows = self.both_flows(maps, images)
         with full_precision(maps):
-            matches, pairs, first, rest = self.solve(maps, intrinsics)
+            pairs, first, rest = self.solve(flows, intrinsics)
         batch = (maps.shape[0], maps.shape[1] - 1)
         token0 = self.first(to_tokens(first.unflatten(0, batch), rows, columns))
         tokens = self.rest(to_tokens(rest.unflatten(0, batch), rows, columns))
         camera = self.camera(torch.cat(pairs.motion, dim=-1)).unflatten(0, batch)
         tokens = torch.cat((tokens, camera[:, :, None]), dim=2)
         token0 = F.pad(token0.mean(dim=1, keepdim=True), (0, 0, 0, 1))
-        return torch.cat((token0, tokens), dim=1), matches, pairs
+        return torch.cat((token0, tokens), dim=1), pairs
 
 
-def standing(cells: Float[Tensor, "2*pairs cells 2"]) -> Motion:
+def triangulated(
+    rho: Float[Tensor, "2*pairs cells"], fitted: Fit, pairs: tuple[int, int]
+) -> Float[Tensor, "batch views cells"]:
+    """Log depths of all views: the first view's are the mean of its pairs', by their worth."""
+    log_depth = -rho.log().clamp(-MOST_LOG_DEPTH, MOST_LOG_DEPTH)
+    count = pairs[0] * pairs[1]
+    first, rest = (t.unflatten(0, pairs) for t in (log_depth[:count], log_depth[count:]))
+    worth = fitted.information[:count].unflatten(0, pairs) + TINY
+    mean = (first * worth).sum(dim=1) / worth.sum(dim=1)
+    return torch.cat((mean[:, None], rest), dim=1)
+
+
+def standing(cells: Float[Tensor, "2*pairs cells 3"]) -> Motion:
     """The motion of cameras that stay where they are, one a pair."""
     zero = cells[: cells.shape[0] // 2, 0, :1] * 0
     return Motion(torch.cat((zero + 1, zero, zero, zero), -1), torch.cat((zero, zero, zero), -1))
 
 
-class Expected(NamedTuple):
-    """Cells of one view, where they match in another, how surely, and how widely."""
+def sides_of(
+    flows: Flows, intrinsics: Float[Tensor, "batch views 3 3"]
+) -> tuple[Sides, Float[Tensor, "2*pairs cells"]]:
+    """Both sides of every pair at unit depth, weighed by their matches' worth, and its variance.
 
-    own: Float[Tensor, "batch others here 2"]
-    matched: Float[Tensor, "batch others here 2"]
-    weight: Float[Tensor, "batch others here"]
-    variance: Float[Tensor, "batch others here"]
+    A match's variance adds the network's expected error to how far there and back misses the
+    start; a match outside the other picture has no weight.
+    """
+    flow = flows.rounds[-1]
+    rows, columns = flow.shape[-2:]
+    others = intrinsics.shape[1] - 1
+    first = intrinsics[:, :1].expand(-1, others, -1, -1).flatten(0, 1)
+    rest = intrinsics[:, 1:].flatten(0, 1)
+    here, there = torch.cat((first, rest)), torch.cat((rest, first))
+    own = cell_rays(here, rows, columns)
+    y = torch.arange(rows, device=flow.device)[:, None]
+    x = torch.arange(columns, device=flow.device)
+    at = torch.stack((flow[:, 0] + x, flow[:, 1] + y), dim=-1)  # in the other's cells
+    matched = rays_at(at, there)
+    pairs = first.shape[0]
+    other = torch.cat((flow[pairs:], flow[:pairs]))
+    unit = torch.stack((at[..., 0] / (x.sum() * 0 + columns - 1), at[..., 1] / (rows - 1)), -1)
+    grid = 2 * unit - 1
+    inside = (grid.abs() <= 1).all(dim=-1).flatten(1).to(flow.dtype)
+    back = F.grid_sample(other, grid, align_corners=True, padding_mode="border")
+    missed = flow + back
+    cell = 1 / (rows * here[:, 1, 1, None])  # one cell in ray units
+    spread = flows.log_spread.exp().flatten(1) * cell
+    variance = spread.square() + missed.square().sum(dim=1).flatten(1) * cell.square()
+    weight = inside * NOISE**2 / (NOISE**2 + variance)
+    one = torch.ones_like(weight)
+    rays = F.pad(own, (0, 1), value=1.0)
+    return Sides(rays, matched, weight, one, one * FLAT_STIFFNESS), variance + TINY
 
 
-def expect(
-    joint: Float[Tensor, "batch others here there"],
-    here: Float[Tensor, "batch _ here 2"],
-    there: Float[Tensor, "batch _ there 2"],
-) -> Expected:
-    """Each cell's expected match, and the variance of where it may be."""
-    confidence = joint.sum(dim=-1)
-    weight = joint / (confidence[..., None] + TINY)
-    expected = weight @ there
-    second = (weight @ there.square().sum(dim=-1, keepdim=True)).squeeze(-1)
-    variance = (second - expected.square().sum(dim=-1)).clamp_min(TINY)
-    sharp = confidence / (1 + variance / SHARP**2)
-    return Expected(here.expand_as(expected), expected, sharp, variance)
+def rays_at(
+    cells: Float[Tensor, "n rows columns 2"], intrinsics: Float[Tensor, "n 3 3"]
+) -> Float[Tensor, "n cells 2"]:
+    """(x/z, y/z) through places given in cells (x, y), cell centres at whole numbers."""
+    rows, columns = cells.shape[1:3]
+    k = intrinsics[:, None, None]
+    x = ((cells[..., 0] + 0.5) / columns - k[..., 0, 2]) / k[..., 0, 0]
+    y = ((cells[..., 1] + 0.5) / rows - k[..., 1, 2]) / k[..., 1, 1]
+    return torch.stack((x, y), dim=-1).flatten(1, 2)
 
 
 def describe(
     sides: Sides, variance: Tensor, rho: Tensor, fitted: Fit
 ) -> Float[Tensor, "2*pairs cells features"]:
     """Numbers a cell: own ray, match, shift, spread, weight, triangulated depth and its worth."""
-    # Where nothing matches the expectation is noise: fade it out rather than learn to ignore it.
+    # Where nothing matches the place is noise: fade it out rather than learn to ignore it.
     own, weight = sides.rays[..., :2], sides.weight[..., None]
     numbers = (variance.log(), sides.weight, (sides.weight + TINY).log(), rho.log())
-    worth = ((fitted.information + TINY).log(), fitted.error.log())
+    worth = ((fitted.information / NOISE**2 + TINY).log(), fitted.error.log())
     scalars = torch.stack((*numbers, *worth), dim=-1)
     shift = (sides.matched - own) * weight
     return torch.cat((own, sides.matched * weight, shift, scalars), dim=-1)
@@ -169,23 +205,6 @@ def cell_centres(t: Float[Tensor, "batch views H W"]) -> Float[Tensor, "batch vi
     four pixels at the centre stand for it.
     """
     return F.avg_pool2d(t[..., 3:-3, 3:-3], 2, 8).flatten(2)
-
-
-def settle(
-    pairs: Pairs, guess: Motion, depth: Float[Tensor, "batch views H W"], log_error: Tensor
-) -> Motion:
-    """The motion once more, now with decoded depths and their expected relative errors."""
-    others = depth.shape[1] - 1
-    depth, log_error = (cell_centres(t) for t in (depth, log_error))
-    stiffness = (depth * (-log_error).exp()).square()
-
-    def sides_of(t: Tensor) -> Tensor:
-        first = t[:, :1].expand(-1, others, -1)
-        return torch.cat((first.flatten(0, 1), t[:, 1:].flatten(0, 1)))
-
-    sides = pairs.sides._replace(prior=sides_of(1 / depth), stiffness=sides_of(stiffness))
-    with full_precision(depth):
-        return adjust(guess, sides, LAST_OUTLIERS)[0]
 
 
 def to_tokens(

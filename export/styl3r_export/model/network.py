@@ -7,12 +7,12 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from styl3r_export.model.adapter import (
     CameraHead,
     Geometry,
     Pose,
-    colours_from_affine,
     colours_from_sh,
     free_geometry,
     log_depth,
@@ -23,11 +23,11 @@ from styl3r_export.model.adapter import (
 from styl3r_export.model.backbone import Backbone
 from styl3r_export.model.config import CONFIGS, PATCH, ModelConfig
 from styl3r_export.model.dpt import STRUCTURE_CHANNELS, GaussianTrunk, Head, PointTrunk
-from styl3r_export.model.matching import Matches, StarMatching, settle
-from styl3r_export.model.palette import transfer_palette
+from styl3r_export.model.flow import Flows
+from styl3r_export.model.matching import StarMatching
 from styl3r_export.model.refinement import refine
-from styl3r_export.model.rotations import full_precision
-from styl3r_export.model.stem import Pyramid, PyramidStem
+from styl3r_export.model.stem import Pyramid
+from styl3r_export.model.strokes import Strokes
 from styl3r_export.model.stylizer import TokenStylizer
 
 
@@ -52,11 +52,11 @@ class RayDecoding(NamedTuple):
     """What a network with points on rays knows before it makes Gaussians; training reads it."""
 
     depth: Float[Tensor, "batch views H W"]  # along the view's z axis
-    log_error: Float[Tensor, "batch views H W"]  # log of the depth's expected relative error
     pose: Pose
+    decoded: Float[Tensor, "batch views H W"]  # the depth before it was pulled to the matches
+    log_error: Float[Tensor, "batch views H W"]  # log of that depth's expected relative error
     guessed: Pose  # before the decoded depths were matched
-    suggested: Pose  # by the matches alone
-    matches: Matches
+    flows: Flows
     hooks: tuple[Tensor, ...]  # (batch * views, patches, dim) each
 
 
@@ -67,6 +67,8 @@ class Structure(NamedTuple):
     rays: RayDecoding | None
 
 
+# Correction of log depth, and log of its relative error (20 %), before any training.
+UNTRAINED_DEPTH = (0.0, -1.6)
 # Opacity logit, raw scales and quaternion of the Gaussians before any training: opacity 0.95,
 # standard deviation 0.56 px.
 UNTRAINED_STRUCTURE = (3.0, -1.0, -1.0, -1.0, 0.0, 0.0, 0.0, 0.0)
@@ -96,21 +98,22 @@ class Styl3r(nn.Module):
         rays = config.points == "rays"
         self.backbone = Backbone(config)
         self.downstream_head1 = Head(PointTrunk(config, 2 if rays else 3))
-        self.gaussian_param_head = Head(GaussianTrunk(config, STRUCTURE_CHANNELS, image="add"))
+        self.gaussian_param_head = Head(GaussianTrunk(config, STRUCTURE_CHANNELS, with_image=True))
         if rays:  # depth along a view's own rays is the same task for every view
-            self.matching = StarMatching(config, PyramidStem.CHANNELS[2])
+            self.matching = StarMatching(config)
             self.camera_head = CameraHead(config.decoder_dim)
         else:
             self.downstream_head2 = Head(PointTrunk(config, 3))
-            self.gaussian_param_head2 = Head(GaussianTrunk(config, STRUCTURE_CHANNELS, image="add"))
-        self.token_stylizer = TokenStylizer(config)
-        affine = config.colours == "affine"
-        self.gaussian_appearance_head = Head(
-            GaussianTrunk(config, 12 if affine else 3, image="gate" if affine else "none")
-        )
-        if affine:  # an untrained head changes nothing
-            zero_output(self.gaussian_appearance_head, 0.0)
-        if rays:  # an untrained head gives opaque Gaussians the size of a pixel
+            self.gaussian_param_head2 = Head(
+                GaussianTrunk(config, STRUCTURE_CHANNELS, with_image=True)
+            )
+        if config.colours == "strokes":
+            self.strokes = Strokes()
+        else:
+            self.token_stylizer = TokenStylizer(config)
+            self.gaussian_appearance_head = Head(GaussianTrunk(config, 3, with_image=False))
+        if rays:  # untrained heads: the matches' depths, opaque Gaussians the size of a pixel
+            zero_output(self.downstream_head1, UNTRAINED_DEPTH)
             zero_output(self.gaussian_param_head, UNTRAINED_STRUCTURE)
 
     # ------------------------------------------------------------------ one scene (public)
@@ -205,26 +208,35 @@ class Styl3r(nn.Module):
         content: Content,
         images: Float[Tensor, "batch views 3 H W"],
         intrinsics: Float[Tensor, "batch views 3 3"],
+        refined_too: bool = True,
     ) -> RayDecoding:
-        """Depth, confidence and cameras of a network whose points lie on rays."""
+        """Depth, confidence and cameras of a network whose points lie on rays.
+
+        Without `refined_too` depths and cameras stay as decoded: all that their losses need.
+        """
         rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
         assert content.pyramid is not None
         maps = content.pyramid.eighth.unflatten(0, images.shape[:2])
-        tokens, matches, pairs = self.matching(maps, intrinsics)
+        tokens, pairs = self.matching(maps, to_network(images), intrinsics)
         hooks, camera = self.backbone.decode(content.tokens, rows, columns, tokens)
         flat = tuple(h.flatten(0, 1) for h in hooks)
         raw = self.downstream_head1(flat, rows, columns, content.pyramid)
         raw = raw.unflatten(0, images.shape[:2])
-        depth, log_error = log_depth(raw[:, :, 0]).exp(), log_error_of(raw[:, :, 1])
+        # What the matches triangulate is the start; the head corrects it and draws its edges.
+        coarse = F.interpolate(pairs.log_depth, scale_factor=8, mode="bilinear")
+        depth, log_error = log_depth(raw[:, :, 0] + coarse).exp(), log_error_of(raw[:, :, 1])
         guess = self.camera_head(camera, pairs.motion)
-        if self.config.refinement == "depths":
-            motion, depth = refine(guess, depth, log_error, matches, intrinsics)
-        else:
-            motion = settle(pairs, guess, depth, log_error)
+        # What refinement changes is a constant to training: the gradient of a bundle adjustment
+        # is far larger than anything else where views hardly move.
+        motion, refined = guess, depth
+        if refined_too:
+            with torch.no_grad():
+                motion, refined = refine(guess, depth, log_error, pairs.sides)
+            refined = depth * (refined / depth).detach()
         batch = images.shape[0]
         return RayDecoding(
-            depth, log_error, pose_of_motion(motion, batch), pose_of_motion(guess, batch),
-            pose_of_motion(pairs.motion, batch), matches, flat,
+            refined, pose_of_motion(motion, batch), depth, log_error,
+            pose_of_motion(guess, batch), pairs.flows, flat,
         )  # fmt: skip
 
     def _ray_structure(self, content: Content, images: Tensor, intrinsics: Tensor) -> Structure:
@@ -256,26 +268,24 @@ class Styl3r(nn.Module):
 
     def decode_appearance(
         self,
-        content_tokens: Float[Tensor, "batch views tokens dim"],
+        content_tokens: Float[Tensor, "batch views tokens dim"] | None,
         style_images: Float[Tensor, "batch styles 3 h w"],
         style_weights: Float[Tensor, "batch styles"],
         images: Float[Tensor, "batch views 3 H W"],
     ) -> Float[Tensor, "batch views H W 3"]:
-        """Colours of a batch of scenes."""
+        """Colours of a batch of scenes; "strokes" need no tokens."""
+        if self.config.colours == "strokes":
+            colours = self.strokes(images, style_images, style_weights).movedim(2, -1)
+            # What leaves sRGB's range every viewer would clamp in a way of its own.
+            return colours if self.training else colours.clamp(0, 1)
+        assert content_tokens is not None
         rows, columns = images.shape[-2] // PATCH, images.shape[-1] // PATCH
         style, rope = self.token_stylizer.encode(style_images.flatten(0, 1))
         style = style.unflatten(0, style_images.shape[:2])
         style = (style * style_weights[:, :, None, None]).sum(dim=1)
         hooks = self.token_stylizer.decode(content_tokens, style, rope, rows, columns)
-        flat = tuple(h.flatten(0, 1) for h in hooks)
-        pictures = to_network(images).flatten(0, 1)
-        raw = self.gaussian_appearance_head(flat, rows, columns, pictures)
-        raw = raw.unflatten(0, images.shape[:2])
-        if self.config.colours == "affine":
-            with full_precision(images):
-                palette = transfer_palette(images, style_images, style_weights)
-            return colours_from_affine(raw, palette)
-        return colours_from_sh(raw)
+        raw = self.gaussian_appearance_head(tuple(h.flatten(0, 1) for h in hooks), rows, columns)
+        return colours_from_sh(raw.unflatten(0, images.shape[:2]))
 
 
 def check_sides(images: Float[Tensor, "batch 3 height width"]) -> None:

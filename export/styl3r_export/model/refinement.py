@@ -28,21 +28,11 @@ from styl3r_export.model.bundle import (
     twists,
 )
 from styl3r_export.model.loops import Carry, repeat
-from styl3r_export.model.matching import (
-    SHARP,
-    TINY,
-    Expected,
-    Matches,
-    cell_centres,
-    cell_rays,
-)
+from styl3r_export.model.matching import cell_centres
 from styl3r_export.model.rotations import Motion, full_precision
 
 # Pixels a side of one cell.
 CELL = 8
-# Cells on each side of a match's peak that its expected place is taken over: farther ones are
-# other candidates, and an average of candidates lies on none of them.
-REACH = 2
 # True depth errors over predicted ones. A cell's error is shared with its neighbours, so it
 # counts more often than once, and photos are harder than generated scenes.
 MODESTY = 2.0
@@ -65,8 +55,7 @@ def refine(
     guess: Motion,
     depth: Float[Tensor, "batch views H W"],
     log_error: Float[Tensor, "batch views H W"],
-    matches: Matches,
-    intrinsics: Float[Tensor, "batch views 3 3"],
+    matches: Sides,
 ) -> Refined:
     """Pull cameras, scales and depths to where the views' points meet along their matches.
 
@@ -78,8 +67,7 @@ def refine(
         guess: world-to-camera motions, (batch * others) pairs.
         depth: along each view's z axis; H and W multiples of 16.
         log_error: log of the depth's expected relative error.
-        matches: log-probabilities between the first view's cells and every other view's.
-        intrinsics: normalised by width and height.
+        matches: both sides of every pair, their depths not yet decoded.
 
     Returns:
         The motions, and the depths times a smooth correction (at most a factor of two).
@@ -87,7 +75,7 @@ def refine(
     batch, views = depth.shape[:2]
     rows, columns = depth.shape[-2] // CELL, depth.shape[-1] // CELL
     with full_precision(depth):
-        sides = known_sides(matches, depth, log_error, intrinsics)
+        sides = known_sides(matches, depth, log_error)
         adjusted = adjust_scaled(guess, sides, OUTLIERS)
         here = fuse(adjusted, sides, (batch, views - 1))
         there = adjusted.change[batch * (views - 1) :].unflatten(0, (batch, views - 1))
@@ -98,55 +86,18 @@ def refine(
     return Refined(adjusted.motion, depth * change.exp())
 
 
-def known_sides(matches: Matches, depth: Tensor, log_error: Tensor, intrinsics: Tensor) -> Sides:
-    """The two sides of every pair: sharp matches, and decoded depths as priors."""
-    grid, others = (depth.shape[-2] // CELL, depth.shape[-1] // CELL), depth.shape[1] - 1
-    rays = cell_rays(intrinsics, *grid)
-    joint = matches.forward + matches.backward
-    here = expect_near_peak(joint, rays[:, :1], rays[:, 1:], grid)
-    there = expect_near_peak(joint.transpose(-1, -2), rays[:, 1:], rays[:, :1], grid)
+def known_sides(sides: Sides, depth: Tensor, log_error: Tensor) -> Sides:
+    """The matches' two sides of every pair, with decoded depths as priors."""
+    others = depth.shape[1] - 1
     z, error = cell_centres(depth), cell_centres(log_error)
     rho = (1 / z).clamp(FARTHEST, NEAREST)
     stiffness = (error.exp() * MODESTY * rho).square().reciprocal()
 
-    def both(a: Tensor, b: Tensor) -> Tensor:
-        return torch.cat((a.flatten(0, 1), b.flatten(0, 1)))
+    def both(t: Tensor) -> Tensor:
+        first = t[:, :1].expand(-1, others, -1)
+        return torch.cat((first.flatten(0, 1), t[:, 1:].flatten(0, 1)))
 
-    own, matched, weight, _ = (both(a, b) for a, b in zip(here, there, strict=True))
-    prior, stiff = (both(t[:, :1].expand(-1, others, -1), t[:, 1:]) for t in (rho, stiffness))
-    return Sides(F.pad(own, (0, 1), value=1.0), matched, weight, prior, stiff)
-
-
-def expect_near_peak(
-    log_joint: Float[Tensor, "batch others here there"],
-    here: Float[Tensor, "batch _ here 2"],
-    there: Float[Tensor, "batch _ there 2"],
-    grid: tuple[int, int],
-) -> Expected:
-    """`matching.expect` over the cells around each most probable match only."""
-    peak = log_joint.argmax(dim=-1, keepdim=True)
-    # Counted rather than given: in a traced graph the grid's size is not known, and integer
-    # operators want it as a tensor.
-    rows, columns = (torch.ones(n, dtype=peak.dtype, device=peak.device).sum() for n in grid)
-    away = torch.arange(-REACH, REACH + 1, device=peak.device)
-    top = torch.div(peak, columns, rounding_mode="floor")
-    row = top + away.repeat_interleave(2 * REACH + 1)
-    column = peak - top * columns + away.repeat(2 * REACH + 1)
-    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    row, column = row.clamp_min(0).minimum(rows - 1), column.clamp_min(0).minimum(columns - 1)
-    index = row * columns + column
-    joint = log_joint.gather(-1, index).exp() * inside
-    confidence = joint.sum(dim=-1)
-    weight = (joint / (confidence[..., None] + TINY))[..., None]
-    x, y = (
-        t.expand(index.shape[:2] + t.shape[2:]).gather(-1, index.flatten(2)).view_as(index)
-        for t in there.unbind(-1)
-    )
-    place = torch.stack((x, y), dim=-1)
-    matched = (weight * place).sum(dim=-2)
-    spread = (weight * (place - matched[..., None, :]).square()).sum(dim=(-1, -2))
-    sharp = confidence / (1 + spread / SHARP**2)
-    return Expected(here.expand_as(matched), matched, sharp, spread)
+    return sides._replace(prior=both(rho), stiffness=both(stiffness))
 
 
 class Adjusted(NamedTuple):

@@ -1,0 +1,191 @@
+"""Dense matches between two views: RAFT-small's recurrent flow, with an expected error."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from styl3r_export.model.loops import Carry, repeat
+from styl3r_export.model.stem import PyramidStem
+
+# RAFT-small's sizes (Teed and Deng, ECCV 2020): channels of the recurrent state and of the
+# context beside it, levels of the correlation pyramid, and reach of the look-up in each.
+HIDDEN, CONTEXT = 96, 64
+LEVELS, RADIUS = 4, 3
+WINDOW = 2 * RADIUS + 1
+# Expected error of an untrained network, as a logarithm of cells: one pixel.
+UNTRAINED_SPREAD = -2.1
+# Bounds of the expected error: a fortieth of a cell, and a dozen cells.
+SPREAD_MIN, SPREAD_MAX = -3.7, 2.5
+
+
+class Flows(NamedTuple):
+    """Where the cells of one map are in another, after each round."""
+
+    rounds: tuple[Float[Tensor, "batch 2 h w"], ...]  # x and y, in cells; the last one counts
+    log_spread: Float[Tensor, "batch h w"]  # log of the last one's expected error, in cells
+
+
+class MotionEncoder(nn.Module):
+    """Correlations and the present flow to features (RAFT's `BasicMotionEncoder`, small)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.convc1 = nn.Conv2d(LEVELS * WINDOW**2, 96, 1)
+        self.convf1 = nn.Conv2d(2, 64, 7, padding=3)
+        self.convf2 = nn.Conv2d(64, 32, 3, padding=1)
+        self.conv = nn.Conv2d(128, 80, 3, padding=1)
+
+    def forward(self, costs: Tensor, flow: Tensor) -> Float[Tensor, "batch 82 h w"]:
+        """Features of both, and the flow itself."""
+        cost = F.relu(self.convc1(costs))
+        motion = F.relu(self.convf2(F.relu(self.convf1(flow))))
+        return torch.cat((F.relu(self.conv(torch.cat((cost, motion), 1))), flow), 1)
+
+
+class Gru(nn.Module):
+    """The convolutional gated recurrent unit."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        width = HIDDEN + CONTEXT + 82
+        self.convz = nn.Conv2d(width, HIDDEN, 3, padding=1)
+        self.convr = nn.Conv2d(width, HIDDEN, 3, padding=1)
+        self.convq = nn.Conv2d(width, HIDDEN, 3, padding=1)
+
+    def forward(self, state: Tensor, x: Tensor) -> Float[Tensor, "batch 96 h w"]:
+        """The next state."""
+        both = torch.cat((state, x), 1)
+        keep, reset = self.convz(both).sigmoid(), self.convr(both).sigmoid()
+        fresh = self.convq(torch.cat((reset * state, x), 1)).tanh()
+        return (1 - keep) * state + keep * fresh
+
+
+class FlowHead(nn.Module):
+    """State to a change of the flow."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(HIDDEN, 128, 3, padding=1)
+        self.conv2 = nn.Conv2d(128, 2, 3, padding=1)
+
+    def forward(self, state: Tensor) -> Float[Tensor, "batch 2 h w"]:
+        """The change, in cells."""
+        return self.conv2(F.relu(self.conv1(state)))
+
+
+class UpdateBlock(nn.Module):
+    """One round: look at the correlations, move the flow. Parameter names are RAFT's."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.encoder = MotionEncoder()
+        self.gru = Gru()
+        self.flow_head = FlowHead()
+
+    def forward(
+        self, state: Tensor, context: Tensor, costs: Tensor, flow: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The next state and flow."""
+        state = self.gru(state, torch.cat((context, self.encoder(costs, flow)), 1))
+        return state, flow + self.flow_head(state).to(flow.dtype)
+
+
+class Flow(nn.Module):
+    """RAFT-small without its feature encoder, which is the network's stem."""
+
+    def __init__(self, rounds: int) -> None:
+        super().__init__()
+        self.count = rounds
+        self.cnet = PyramidStem(HIDDEN + CONTEXT, normalised=False)
+        self.update_block = UpdateBlock()
+        last = nn.Conv2d(64, 1, 1)
+        self.spread_head = nn.Sequential(nn.Conv2d(HIDDEN, 64, 3, padding=1), nn.ReLU(), last)
+        assert last.bias is not None
+        nn.init.zeros_(last.weight)
+        nn.init.constant_(last.bias, UNTRAINED_SPREAD)
+
+    def context(self, images: Float[Tensor, "batch 3 H W"]) -> Float[Tensor, "batch 160 h w"]:
+        """What a picture in [-1, 1] gives to the flow from it: first state, and context."""
+        return self.cnet(images).eighth
+
+    def forward(
+        self,
+        source: Float[Tensor, "batch c h w"],
+        target: Float[Tensor, "batch c h w"],
+        context: Float[Tensor, "batch 160 h w"],
+    ) -> Flows:
+        """Where the source's cells are in the target."""
+        pyramid = correlate(source.float(), target.float())
+        state, extra = context[:, :HIDDEN].tanh(), F.relu(context[:, HIDDEN:])
+        rounds = []
+
+        def step(carry: Carry, _: float | Tensor) -> Carry:
+            state, flow = carry
+            flow = flow.detach()  # RAFT's gradient does not cross rounds through the flow
+            state, flow = self.update_block(state, extra, look_up(pyramid, flow), flow)
+            if self.training:
+                rounds.append(flow)
+            return state, flow
+
+        start = (state, torch.zeros_like(source[:, :2], dtype=torch.float32))
+        state, flow = repeat(step, start, range(self.count))
+        spread = self.spread_head(state.detach())[:, 0].float()
+        spread = spread.clamp(SPREAD_MIN, SPREAD_MAX)
+        return Flows((*rounds[:-1], flow), spread)
+
+
+def correlate(
+    source: Float[Tensor, "batch c h w"], target: Float[Tensor, "batch c h w"]
+) -> list[Float[Tensor, "batch cells rows columns"]]:
+    """Correlation of every cell with every cell, the target's averaged at four scales."""
+    scale = source.shape[1] ** -0.5
+    costs = source.flatten(2).transpose(1, 2) @ target.flatten(2) * scale
+    pyramid = [costs.unflatten(2, target.shape[-2:])]
+    for _ in range(LEVELS - 1):
+        # Rounded up, so that no picture is too small for the coarsest level.
+        pyramid.append(F.avg_pool2d(pyramid[-1], 2, ceil_mode=True))
+    return pyramid
+
+
+def look_up(
+    pyramid: list[Float[Tensor, "batch cells rows columns"]], flow: Float[Tensor, "batch 2 h w"]
+) -> Float[Tensor, "batch levels*49 h w"]:
+    """Correlations around where each cell is now thought to be, zero outside the picture.
+
+    All samples of a window lie at the same fraction of a cell: one gathered block of whole cells
+    serves them all, two interpolations away.
+    """
+    rows, columns = flow.shape[-2:]
+    y = torch.arange(rows, device=flow.device)[:, None]
+    x = torch.arange(columns, device=flow.device)
+    x, y = (flow[:, 0] + x).flatten(1), (flow[:, 1] + y).flatten(1)
+    found = [window(costs, x / 2**level, y / 2**level) for level, costs in enumerate(pyramid)]
+    return torch.cat(found, dim=2).transpose(1, 2).unflatten(2, (rows, columns))
+
+
+def window(
+    costs: Float[Tensor, "batch cells rows columns"],
+    x: Float[Tensor, "batch cells"],
+    y: Float[Tensor, "batch cells"],
+) -> Float[Tensor, "batch cells 49"]:
+    """One level's samples; the window's first axis moves along x (the published order)."""
+    reach = torch.arange(-RADIUS, RADIUS + 2, device=costs.device)
+    # Counted rather than given: in a traced graph the level's size is not known.
+    height, width = (torch.ones_like(t).sum() for t in (costs[0, 0, :, 0], costs[0, 0, 0]))
+    column, row = x.floor()[..., None] + reach, y.floor()[..., None] + reach
+    inside_x = ((column >= 0) & (column < width)).to(costs.dtype)
+    inside_y = ((row >= 0) & (row < height)).to(costs.dtype)
+    column = column.clamp_min(0).minimum(width - 1)
+    row = row.clamp_min(0).minimum(height - 1)
+    index = (row[..., :, None] * width + column[..., None, :]).long()
+    block = costs.flatten(2).gather(2, index.flatten(2)).unflatten(2, (WINDOW + 1, WINDOW + 1))
+    block = block * inside_y[..., :, None] * inside_x[..., None, :]
+    fx, fy = (x - x.floor())[..., None, None], (y - y.floor())[..., None, None]
+    block = block[..., :-1] * (1 - fx) + block[..., 1:] * fx
+    block = block[..., :-1, :] * (1 - fy) + block[..., 1:, :] * fy
+    return block.transpose(-1, -2).flatten(2)
