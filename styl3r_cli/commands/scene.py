@@ -13,7 +13,7 @@ from styl3r_cli.cameras.recover import Recovered, recover
 from styl3r_cli.cameras.stored import cameras_to_metadata
 from styl3r_cli.commands.each import one_by_one
 from styl3r_cli.commands.options import LOOP_FPS, LOOP_FRAMES
-from styl3r_cli.commands.report import print_report, scene_report
+from styl3r_cli.commands.report import print_report, rounded, scene_report
 from styl3r_cli.commands.request import Inputs, SceneRequest, load_inputs
 from styl3r_cli.console import Console
 from styl3r_cli.files import write_stdout
@@ -39,12 +39,14 @@ def make_scene(request: SceneRequest) -> None:
         scene = inputs.stylizer.encode(inputs.photos)
     with console.stage("cameras"):
         recovered = _recover(scene, inputs.photos, console)
+    shared = rounded(console.timings | {"total": console.elapsed()})
     reports = []
     for index, one in enumerate(one_by_one(request)):
         styles = [inputs.styles[index]] if request.each else inputs.styles
         reports.append(_make_one(one, replace(inputs, styles=styles), scene, recovered, console))
     if request.json:
-        print_report({"scenes": reports} if request.each else reports[0])
+        together = {"shared_timings": shared, "scenes": reports}
+        print_report(together if request.each else reports[0])
 
 
 def _make_one(

@@ -46,7 +46,9 @@ def test_each_style_has_the_scene_that_it_has_alone(
     names = [f"style {n}{end}" for n in range(3) for end in (" sheet.png", ".ply")]
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
     assert cameras.exists()
-    reports = json.loads(out)["scenes"]
+    told = json.loads(out)
+    reports, shared = told["scenes"], told["shared_timings"]
+    assert set(shared) == {"photos", "model", "structure", "cameras", "total"}
     assert [report["styles"][0]["path"] for report in reports] == [str(s) for s in styles]
     for style, report in zip(styles, reports, strict=True):
         alone = tmp_path / "alone.ply"
