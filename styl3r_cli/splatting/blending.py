@@ -24,7 +24,7 @@ from styl3r_cli.splatting.constants import (
     PIXEL_CENTRE,
     TRANSMITTANCE_MIN,
 )
-from styl3r_cli.splatting.projection import LOG_OPACITY, A, B, C, U, V, Z
+from styl3r_cli.splatting.projection import LOG_OPACITY, A, B, C, U, V, Z, clamp
 
 # Red, green, blue, depth (all weighted), transmittance, and median depth.
 PLANES = 6
@@ -39,6 +39,7 @@ CHECK_EVERY = 16
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _ALPHA_MAX = np.float32(ALPHA_MAX)
 _TRANSMITTANCE_MIN = np.float32(TRANSMITTANCE_MIN)
+_HIGHEST = np.finfo(np.float32).max
 _MEDIAN = np.float32(MEDIAN_TRANSMITTANCE)
 _CUTOFF = np.float32(-LOG2_INVERSE_ALPHA_MIN)
 
@@ -114,7 +115,8 @@ def _blend_segment(state, base, p, a, log_alpha, red, green, blue, z):
         i = base + np.uintp(j)
         pj = p + a * np.float32(j)
         t = log_alpha - pj * pj
-        alpha = min(power_of_two(t), _ALPHA_MAX)
+        free = power_of_two(t)
+        alpha = free if free < _ALPHA_MAX else _ALPHA_MAX
         before = state[i + _T]
         after = before * (_ONE - alpha)
         seen = t >= _CUTOFF
@@ -138,18 +140,18 @@ def _blend_tile(state, live, x0, y0, tile, members, rects, records, colours):
         g = members[n]
         u, v, a, b, c = records[g, U], records[g, V], records[g, A], records[g, B], records[g, C]
         log_opacity, z = records[g, LOG_OPACITY], np.float32(records[g, Z])
-        red, green = max(colours[g, 0], _ZERO), max(colours[g, 1], _ZERO)
-        blue = max(colours[g, 2], _ZERO)
-        first, last = max(rects[g, 1], y0), min(rects[g, 3], y0 + tile - 1)
-        left, right = max(rects[g, 0] - x0, 0) // LANES, min(rects[g, 2] - x0, tile - 1) // LANES
-        for column in range(left, right + 1):
+        red, green = clamp(colours[g, 0], _ZERO, _HIGHEST), clamp(colours[g, 1], _ZERO, _HIGHEST)
+        blue = clamp(colours[g, 2], _ZERO, _HIGHEST)
+        first, last = clamp(rects[g, 1] - y0, 0, tile), clamp(rects[g, 3] - y0, 0, tile - 1)
+        left, right = clamp(rects[g, 0] - x0, 0, tile), clamp(rects[g, 2] - x0, 0, tile - 1)
+        for column in range(left // LANES, right // LANES + 1):
             # Offsets in float64: a frame's coordinates are too large for float32.
             p0 = a * (x0 + column * LANES + PIXEL_CENTRE - u)
-            for y in range(first, last + 1):
-                segment = np.uintp((y - y0) * across + column)
+            for row in range(first, last + 1):
+                segment = np.uintp(row * across + column)
                 if not live[segment]:
                     continue
-                dy = y + PIXEL_CENTRE - v
+                dy = y0 + row + PIXEL_CENTRE - v
                 q = c * dy
                 _blend_segment(
                     state, segment * _SEGMENT, np.float32(p0 + b * dy), np.float32(a),
@@ -166,7 +168,7 @@ def _finish_tile(state, planes, x0, y0, tile):
         if y < planes.shape[1]:
             for plane in range(PLANES):
                 base = (k * PLANES + plane) * LANES
-                for j in range(min(LANES, planes.shape[2] - x)):
+                for j in range(clamp(planes.shape[2] - x, 0, LANES)):
                     # Transmittances of finished pixels are negative; nothing else is.
                     planes[plane, y, x + j] = abs(state[base + j])
 

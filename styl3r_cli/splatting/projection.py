@@ -45,12 +45,14 @@ class Splats:
 
     Attributes:
         records: (G, COLUMNS) float64, see the names of the columns; undefined where not visible.
+        depths: (G,) float32, view z, by which splats are sorted.
         rects: (G, 4) int32, the pixels that bound a splat: first column and row, last column and
             row, all inclusive and within the frame.
         status: (G,) uint8: VISIBLE, OUTSIDE (of the frame, or invisible), INVALID.
     """
 
     records: NDArray[np.float64]
+    depths: NDArray[np.float32]
     rects: NDArray[np.int32]
     status: NDArray[np.uint8]
 
@@ -88,6 +90,7 @@ def project(
     count = len(gaussians)
     splats = Splats(
         np.empty((count, COLUMNS), np.float64),
+        np.empty(count, np.float32),
         np.empty((count, 4), np.int32),
         np.empty(count, np.uint8),
     )
@@ -96,7 +99,7 @@ def project(
         gaussians.means, gaussians.scales, gaussians.rotations, gaussians.opacities,
         gaussians.colours, np.ascontiguousarray(camera.extrinsics, np.float64), lens_of(camera),
         camera.height, camera.width, float(near), antialias,
-        splats.records, splats.rects, splats.status,
+        splats.records, splats.depths, splats.rects, splats.status,
     )  # fmt: skip
     return splats
 
@@ -111,6 +114,15 @@ def lens_of(camera: Camera) -> NDArray[np.float64]:
     if camera.width < 1 or camera.height < 1:
         raise ValueError(f"the camera's frame has {camera.width}x{camera.height} pixels")
     return lens
+
+
+@inlined
+def clamp(value, low, high):
+    """The nearest value that is neither below nor above the bounds.
+
+    numba compiles ``min`` and ``max`` anew for all types that they meet: a frame's worth of time.
+    """
+    return low if value < low else (high if value > high else value)
 
 
 @inlined
@@ -199,7 +211,8 @@ def _valid(i, means, scales, rotations, opacities, colours):
 
 @kernel
 def _project(begin, end, means, scales, rotations, opacities, colours, view, lens,
-             height, width, near, antialias, records, rects, status):  # fmt: skip
+             height, width, near, antialias, records, depths, rects,
+             status):  # fmt: skip
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     x_low, x_high = axis_limits(fx, cx, width)
     y_low, y_high = axis_limits(fy, cy, height)
@@ -217,7 +230,7 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
         footprint(
             view, quaternion,
             np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2]),
-            fx / z, fy / z, min(max(slope_x, x_low), x_high), min(max(slope_y, y_low), y_high),
+            fx / z, fy / z, clamp(slope_x, x_low, x_high), clamp(slope_y, y_low, y_high),
             rows,
         )  # fmt: skip
         xx, yy, xy, det, sharp = covariance(rows)
@@ -239,6 +252,7 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
         records[i, A], records[i, B] = a, -a * xy / yy
         records[i, C] = math.sqrt(HALVINGS_PER_SQUARED_SIGMA / yy)
         records[i, LOG_OPACITY] = log_opacity
+        depths[i] = z
         status[i] = VISIBLE
 
 
@@ -249,9 +263,10 @@ def _touch(i, rects, u, v, radius_x, radius_y, width, height):
     if not (across <= 0.5 * width - PIXEL_CENTRE and down <= 0.5 * height - PIXEL_CENTRE):
         return False
     # Kept within the frame before they become integers, which cannot hold all that floats can.
-    x0 = math.ceil(max(u - radius_x - PIXEL_CENTRE, 0.0))
-    y0 = math.ceil(max(v - radius_y - PIXEL_CENTRE, 0.0))
-    x1 = math.floor(min(u + radius_x - PIXEL_CENTRE, width - 1.0))
-    y1 = math.floor(min(v + radius_y - PIXEL_CENTRE, height - 1.0))
+    right, bottom = width - 1.0, height - 1.0
+    x0 = math.ceil(clamp(u - radius_x - PIXEL_CENTRE, 0.0, right))
+    y0 = math.ceil(clamp(v - radius_y - PIXEL_CENTRE, 0.0, bottom))
+    x1 = math.floor(clamp(u + radius_x - PIXEL_CENTRE, 0.0, right))
+    y1 = math.floor(clamp(v + radius_y - PIXEL_CENTRE, 0.0, bottom))
     rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3] = x0, y0, x1, y1
     return x0 <= x1 and y0 <= y1

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.splatting.compiler import inlined, kernel, parallel_for, part_count
 from styl3r_cli.splatting.constants import LOG2_CULL_MIN, PIXEL_CENTRE
-from styl3r_cli.splatting.projection import LOG_OPACITY, VISIBLE, A, B, C, Splats, U, V, Z
+from styl3r_cli.splatting.projection import LOG_OPACITY, VISIBLE, A, B, C, Splats, U, V, clamp
 
 # (tile, splat) pairs that are listed at a time: 128 MB with the depths that sort them. Only very
 # large splats on very large frames have more, and are drawn in several bands.
@@ -68,7 +68,9 @@ def tile_lists(
     columns, rows = tile_count(width, tile), tile_count(height, tile)
     parts = part_count(len(splats.status), threads)
     counts = np.zeros((parts, rows * columns), np.int64)
-    where = (splats.status, splats.rects, splats.records, columns, tile)
+    # Positive floats sort like their bits read as integers.
+    depths = splats.depths.view(np.uint32)
+    where = (splats.status, splats.rects, splats.records, depths, columns, tile)
     none, no_keys = np.empty(0, np.int32), np.empty(0, np.uint32)
     parallel_for(_list, parts, threads, parts, *where, 0, rows, counts, none, no_keys, False)
     totals = counts.sum(axis=0)
@@ -79,7 +81,9 @@ def tile_lists(
         members, keys = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.uint32)
         parallel_for(_list, parts, threads, parts, *where, begin, end, places, members, keys, True)
         lists = TileLists(tile, columns, band.start, starts, members)
-        parallel_for(_sort, len(starts) - 1, threads, starts, members, keys, costs=lists.costs)
+        spare = np.empty_like(members), np.empty_like(keys)
+        arrays = (starts, members, keys, *spare)
+        parallel_for(_sort, len(starts) - 1, threads, *arrays, costs=lists.costs)
         yield lists
 
 
@@ -115,19 +119,17 @@ def _reached_columns(i, records, bulge, first, last):
     the left one (exact ellipse-tile intersection, as in Speedy-Splat, arXiv 2412.00578).
     """
     a, b, c, reach = records[i, A], records[i, B], records[i, C], _reach_of(i, records)
-    edge = math.sqrt(reach) / c
-    top = max(first + PIXEL_CENTRE - records[i, V], -edge)
-    bottom = min(last + PIXEL_CENTRE - records[i, V], edge)
-    right = min(max(bulge, top), bottom)
-    left = min(max(-bulge, top), bottom)
-    x1 = (math.sqrt(max(reach - c * c * right * right, 0.0)) - b * right) / a
-    x0 = (-math.sqrt(max(reach - c * c * left * left, 0.0)) - b * left) / a
+    edge, centre = math.sqrt(reach) / c, PIXEL_CENTRE - records[i, V]
+    top, bottom = clamp(first + centre, -edge, edge), clamp(last + centre, -edge, edge)
+    right, left = clamp(bulge, top, bottom), clamp(-bulge, top, bottom)
+    x1 = (math.sqrt(clamp(reach - c * c * right * right, 0.0, reach)) - b * right) / a
+    x0 = (-math.sqrt(clamp(reach - c * c * left * left, 0.0, reach)) - b * left) / a
     centre = records[i, U] - PIXEL_CENTRE
     return centre + x0, centre + x1
 
 
 @kernel
-def _list(part_begin, part_end, parts, status, rects, records, columns, tile, row_begin,
+def _list(part_begin, part_end, parts, status, rects, records, depths, columns, tile, row_begin,
           row_end, places, members, keys, fill):  # fmt: skip
     """Count each part's splats of each tile into ``places`` (parts, tiles), or list them there."""
     count = len(status)
@@ -141,7 +143,9 @@ def _list(part_begin, part_end, parts, status, rects, records, columns, tile, ro
             # Where tiles are so few that the outline misses hardly any, they need no closer look.
             exact = (last - first) + (last_row - first_row) > 1
             bulge = _bulge(i, records) if exact else 0.0
-            for row in range(max(first_row, row_begin), min(last_row + 1, row_end)):
+            for row in range(first_row, last_row + 1):
+                if row < row_begin or row >= row_end:
+                    continue
                 low, high = first, last
                 if exact:
                     top, bottom = (
@@ -154,9 +158,7 @@ def _list(part_begin, part_end, parts, status, rects, records, columns, tile, ro
                 for t in range((row - row_begin) * columns + low,
                                (row - row_begin) * columns + high + 1):  # fmt: skip
                     if fill:
-                        members[free[t]] = i
-                        # Positive floats sort like their bits read as integers.
-                        keys[free[t]] = np.float32(records[i, Z]).view(np.uint32)
+                        members[free[t]], keys[free[t]] = i, depths[i]
                     free[t] += 1
 
 
@@ -187,14 +189,13 @@ def _sort_list(keys, members, other_keys, other_members, counts):
 
 
 @kernel
-def _sort(tile_begin, tile_end, starts, members, keys):
-    """Sort the lists of some tiles by their keys."""
-    longest = 0
-    for tile in range(tile_begin, tile_end):
-        longest = max(longest, starts[tile + 1] - starts[tile])
-    other_keys, other_members = np.empty(longest, np.uint32), np.empty(longest, np.int32)
+def _sort(tile_begin, tile_end, starts, members, keys, other_members, other_keys):
+    """Sort the lists of some tiles by their keys; the others are of the same size, for use."""
     counts = np.empty((DIGITS, _VALUES), np.int32)
     for tile in range(tile_begin, tile_end):
         low, high = starts[tile], starts[tile + 1]
         if high - low > 1:
-            _sort_list(keys[low:high], members[low:high], other_keys, other_members, counts)
+            _sort_list(
+                keys[low:high], members[low:high],
+                other_keys[low:high], other_members[low:high], counts,
+            )  # fmt: skip

@@ -61,7 +61,7 @@ def _unblend_segment(state, base, p, dx, a, log_alpha, red, green, blue, z):
         pj = p + a * x
         t = log_alpha - pj * pj
         free = power_of_two(t)
-        alpha = min(free, _ALPHA_MAX)
+        alpha = free if free < _ALPHA_MAX else _ALPHA_MAX
         before = state[i]
         hidden = _ONE - alpha
         after = before * hidden
