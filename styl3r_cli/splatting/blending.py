@@ -24,7 +24,8 @@ from styl3r_cli.splatting.constants import (
     PIXEL_CENTRE,
     TRANSMITTANCE_MIN,
 )
-from styl3r_cli.splatting.projection import LOG_OPACITY, A, B, C, U, V, Z, clamp
+from styl3r_cli.splatting.ewa import clamp
+from styl3r_cli.splatting.projection import LOG_OPACITY, A, B, C, U, V, Z
 
 # Red, green, blue, depth (all weighted), transmittance, and median depth.
 PLANES = 6

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from styl3r_cli.splatting.compiler import inlined, kernel, parallel_for, part_count
 from styl3r_cli.splatting.constants import LOG2_CULL_MIN, PIXEL_CENTRE
-from styl3r_cli.splatting.projection import LOG_OPACITY, VISIBLE, A, B, C, Splats, U, V, clamp
+from styl3r_cli.splatting.ewa import clamp
+from styl3r_cli.splatting.projection import LOG_OPACITY, VISIBLE, A, B, C, Splats, U, V
 
 # (tile, splat) pairs that are listed at a time: 128 MB with the depths that sort them. Only very
 # large splats on very large frames have more, and are drawn in several bands.

@@ -10,18 +10,16 @@ import math
 import numpy as np
 
 from styl3r_cli.splatting.compiler import inlined, kernel
-from styl3r_cli.splatting.projection import (
-    VISIBLE,
-    A,
-    B,
-    C,
+from styl3r_cli.splatting.ewa import (
     axis_limits,
+    clamp,
     covariance,
     footprint,
     to_matrix,
     unit_quaternion,
     view_centre,
 )
+from styl3r_cli.splatting.projection import VISIBLE, A, B, C
 from styl3r_export.splatting.gradients import (
     DEPTH,
     G_DY,
@@ -139,7 +137,7 @@ def unproject(begin, end, means, scales, rotations, opacities, view, lens, heigh
             g_colours[i, k] = sums[RED + k]
         a, b, c = records[i, A], records[i, B], records[i, C]
         x_z, y_z, z = view_centre(i, means, view)
-        slope_x, slope_y = min(max(x_z, x_low), x_high), min(max(y_z, y_low), y_high)
+        slope_x, slope_y = clamp(x_z, x_low, x_high), clamp(y_z, y_low, y_high)
         q, norm = unit_quaternion(i, rotations)
         s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
         footprint(view, q, s0, s1, s2, fx / z, fy / z, slope_x, slope_y, rows)
