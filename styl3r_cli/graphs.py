@@ -11,6 +11,7 @@ from pathlib import Path
 from styl3r_cli import manifest as manifests
 from styl3r_cli.errors import ModelError
 from styl3r_cli.manifest import Manifest
+from styl3r_cli.names import user_path
 from styl3r_cli.sessions import Graph
 
 BUNDLED = Path(__file__).parent / "models"  # each folder in it is a model of that name
@@ -31,6 +32,7 @@ APPEARANCE_OUTPUTS = {"colours": 4}
 # Optimising a structure graph pays within its first run where the arithmetic takes long, and not
 # in a small one: for mini and two views it costs 0.4 s of processor time and saves 0.1 s.
 SMALL_GRAPH = 64_000_000  # bytes
+UNFUSED = ("fp32", "fp16")  # precisions that run well unoptimised; integer operators must be fused
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,8 @@ class Model:
 
         def load(name: str) -> Graph:
             size = sum(manifest.files[file].bytes for file in manifests.files_of(name, manifest))
-            quick = one_scene and name == manifests.STRUCTURE and size < SMALL_GRAPH
+            small = size < SMALL_GRAPH and manifest.precision in UNFUSED
+            quick = one_scene and name == manifests.STRUCTURE and small
             return _verified(folder, name, manifest, device, threads, not quick)
 
         with ThreadPoolExecutor(2) as pool:
@@ -111,7 +114,7 @@ def find(model: str) -> Path:
     bundled = BUNDLED / model
     if os.sep not in model and (bundled / manifests.MANIFEST).is_file():
         return bundled
-    folder = Path(model).expanduser()
+    folder = user_path(model)
     if not folder.is_dir():
         names = sorted(path.parent.name for path in BUNDLED.glob(f"*/{manifests.MANIFEST}"))
         known = ", ".join(names) or "none"

@@ -43,6 +43,11 @@ class Graph:
         self._inputs = {i.name: i for i in session.get_inputs()}
         self._outputs = {o.name: o for o in session.get_outputs()}
 
+    @property
+    def inputs(self) -> list[str]:
+        """Names of what it declares to read."""
+        return list(self._inputs)
+
     @classmethod
     def load(
         cls,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
-import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -11,12 +9,12 @@ from pathlib import Path
 
 import torch
 
-from styl3r_cli.errors import ModelError, OutputError
-from styl3r_cli.files import TEMP_PREFIX
-from styl3r_cli.manifest import MANIFEST, Manifest
+from styl3r_cli.errors import ModelError
+from styl3r_cli.manifest import Manifest
 from styl3r_export.graphs_metadata import OWN_LICENCE, Provenance
 from styl3r_export.model.network import Styl3r
 from styl3r_export.onnx_export import Precision, write_graphs
+from styl3r_export.quantise.folders import replacing
 from styl3r_export.verify import (
     CASES,
     TOLERANCE,
@@ -74,35 +72,11 @@ def export_graphs(
         OutputError: the folder is in use by something else, or cannot be written.
         ModelError: a graph differs from the model by more than `TOLERANCE`; nothing is written.
     """
-    check_target(folder)
-    temporary = folder.parent / f"{TEMP_PREFIX}{secrets.token_hex(6)}"
-    try:
-        temporary.mkdir()
+    with replacing(folder) as temporary:
         with stage("tracing and writing"):
             manifest = write_graphs(model, temporary, provenance, precision)
         rows, losses = _verify(model, temporary, precision, cases, stage)
-        _publish(temporary, folder)
-    except OSError as error:
-        raise OutputError(f"cannot write {folder}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return ExportReport(manifest, rows, losses)
-
-
-def check_target(folder: Path) -> None:
-    """Make sure that an export may go to a folder.
-
-    Raises:
-        OutputError: it is a file, its parent does not exist, or it holds something else.
-    """
-    if folder.is_dir():
-        if any(folder.iterdir()) and not (folder / MANIFEST).is_file():
-            message = f"cannot write {folder}: the folder holds something else"
-            raise OutputError(f"{message}; name a new or an empty one")
-    elif folder.exists():
-        raise OutputError(f"cannot write {folder}: it is a file; name a folder")
-    elif not folder.absolute().parent.is_dir():
-        raise OutputError(f"cannot write {folder}: {folder.parent} does not exist")
 
 
 def _verify(
@@ -141,21 +115,6 @@ def _losses(
         for case, (_, values), (_, truth) in zip(cases, rounded, exact, strict=True)
         for name, value in values.items()
     ]
-
-
-def _publish(temporary: Path, folder: Path) -> None:
-    """Put the finished folder in its place; an earlier export goes only when it is there."""
-    earlier = folder.parent / f"{temporary.name}-earlier"
-    replaced = folder.is_dir()
-    if replaced:
-        folder.replace(earlier)
-    try:
-        temporary.replace(folder)
-    except BaseException:
-        if replaced:
-            earlier.replace(folder)
-        raise
-    shutil.rmtree(earlier, ignore_errors=True)
 
 
 def check_finite(model: Styl3r) -> None:

@@ -33,6 +33,9 @@ def load_graphs(folder: Path) -> tuple[Styl3r, Provenance]:
         ModelError: a file is missing or damaged, or the graphs do not belong together.
     """
     manifest = manifests.read_manifest(folder)
+    if manifest.precision not in ("fp32", "fp16"):
+        message = f"{folder}: its weights are {manifest.precision}"
+        raise ModelError(f"{message}; start from the model that it was made from")
     for name in manifest.files:
         manifests.check_file(folder, name, manifest)
     graphs = [ir.load(folder / name) for name in (manifests.STRUCTURE, manifests.APPEARANCE)]

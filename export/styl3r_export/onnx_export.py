@@ -23,6 +23,7 @@ from styl3r_export import graph_passes
 from styl3r_export.graphs_metadata import Provenance, describe, weights_id
 from styl3r_export.model.config import PATCH
 from styl3r_export.model.network import Styl3r
+from styl3r_export.quantise.folders import EXTERNAL_ABOVE
 
 Precision = Literal["fp32", "fp16"]
 
@@ -30,9 +31,6 @@ Precision = Literal["fp32", "fp16"]
 # old enough for every onnxruntime that the command accepts.
 OPSET = 20
 SDPA = torch.ops.aten.scaled_dot_product_attention.default
-# Graphs beyond this many bytes of weights keep them in a file of their own: a protobuf message
-# cannot pass 2 GiB, and the rest of the graph needs some room.
-EXTERNAL_ABOVE = (1 << 31) - (64 << 20)
 
 # Sizes that the trace sees: all different, so that no two axes are taken for one.
 TRACE_VIEWS, TRACE_STYLES = 3, 2

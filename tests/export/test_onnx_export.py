@@ -16,11 +16,12 @@ from styl3r_cli.errors import ExitCode, ModelError, OutputError
 from styl3r_cli.main import run
 from styl3r_export import export_graphs as exporting
 from styl3r_export import onnx_export
-from styl3r_export.export_graphs import check_finite, check_target, export_graphs
+from styl3r_export.export_graphs import check_finite, export_graphs
 from styl3r_export.graphs_metadata import Provenance
 from styl3r_export.graphs_reading import is_needed, load_graphs
 from styl3r_export.model import FULL, MINI, ModelConfig, Styl3r, build
 from styl3r_export.precision import HALF_MIN_ELEMENTS, round_weights, rounded, to_half
+from styl3r_export.quantise.folders import check_target
 from styl3r_export.verify import (
     CASES,
     Case,

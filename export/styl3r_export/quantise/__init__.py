@@ -1,0 +1,1 @@
+"""Other precisions of graphs that are exported already: numpy, onnx and onnxruntime, no torch."""
