@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from styl3r_cli.errors import InputError, OutputError, UsageError
+from styl3r_cli.names import real_path
 
 TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
 TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
@@ -36,7 +37,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         OutputError: the folder is missing, or anything in the block raised OSError.
     """
     try:
-        target = path.resolve()
+        target = real_path(path)
         if _written_directly(target):
             yield target
             return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn
@@ -20,6 +21,7 @@ COMMANDS = {
     "stylize": ("stylize", "Photos and a style picture become a stylized 3D scene."),
     "reconstruct": ("reconstruct", "Photos become a 3D scene in their own colours."),
     "render": ("render", "A scene becomes a video or a folder of frames."),
+    "view": ("view", "A scene in the browser, to walk around in (needs the extra 'view')."),
     "convert": ("convert", "A scene from one file format into another."),
     "info": ("info", "What is in a scene file."),
     "bench": ("bench", "How fast this machine draws scenes."),
@@ -107,6 +109,8 @@ def group() -> None:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit (the console script's entry point)."""
     signal.signal(signal.SIGTERM, _terminate)
+    if not sys.warnoptions:  # libraries' remarks on odd files are not for users; python -W shows
+        warnings.simplefilter("ignore")
     sys.exit(run(arguments))
 
 
@@ -131,10 +135,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, click.Abort):
         return ExitCode.INTERRUPTED
     except MemoryError:
-        return _fail("out of memory; try fewer or smaller photos", ExitCode.INTERNAL)
+        message = "out of memory; try a smaller --size, or fewer and smaller photos"
+        return _fail(message, ExitCode.INTERNAL)
     except Exception as error:  # whatever it is, a user sees one line
         if os.environ.get(DEBUG) == "1":
             raise
+        if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
+            return _fail(f"{os.fsdecode(error.filename)}: {error.strerror}", ExitCode.INPUT)
         what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         return _fail(f"a bug: {what} ({DEBUG}=1 shows where; please report it)", ExitCode.INTERNAL)
     return result if isinstance(result, int) else ExitCode.SUCCESS

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.json_values import load_object, number, rigid
+from styl3r_cli.cameras.json_values import frame_size, load_object, number, rigid, shown
 from styl3r_cli.cameras.transforms import (
     OPENGL_FROM_OPENCV,
     WRITTEN_MODEL,
@@ -53,16 +53,19 @@ def read_camera_path(source: Path | bytes) -> CameraFile:
         raise InputError(f"{name}: no frames in 'camera_path'; expected nerfstudio's camera path")
     kind = content.get("camera_type", PERSPECTIVE)
     if kind != PERSPECTIVE:
-        raise InputError(f"{name}: camera_type {kind!r}; only perspective cameras can be drawn")
-    width, height = (number(content, f"render_{side}", name) for side in ("width", "height"))
-    if width is None or height is None or width < 1 or height < 1:
+        raise InputError(
+            f"{name}: camera_type {shown(kind)}; only perspective cameras can be drawn"
+        )
+    sides = (number(content, f"render_{side}", name) for side in ("width", "height"))
+    size = frame_size(*(side and math.floor(side) for side in sides))
+    if size is None:
         raise InputError(f"{name}: 'render_width' and 'render_height' are no picture's size")
     cameras = []
     for index, entry in enumerate(entries):
         where = f"{name}: frame {index + 1}"
         if not isinstance(entry, dict):
             raise InputError(f"{where}: not an object")
-        cameras.append(_camera(entry, int(width), int(height), where))
+        cameras.append(_camera(entry, *size, where))
     fps = number(content, "fps", name)
     if fps is not None and fps <= 0:
         raise InputError(f"{name}: 'fps' is {fps:g}; a rate is above 0")

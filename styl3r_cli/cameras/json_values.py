@@ -14,6 +14,9 @@ from styl3r_cli.errors import InputError
 
 # Files with six digits are off by 1e-6; a scaled or sheared matrix by far more.
 RIGID_TOLERANCE = 1e-3
+LARGEST_SIDE = 99_999  # pixels of a frame; `--size` takes as many digits
+FARTHEST = 1e15  # of a camera from the origin: float32 holds squares up to 3e38
+LONGEST_QUOTE = 40  # characters of a wrong value in a message
 
 
 def load_object(source: Path | bytes) -> tuple[str, dict[str, Any]]:
@@ -36,27 +39,57 @@ def number(values: dict[str, Any], key: str, where: str) -> float | None:
     value = values.get(key)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{where}: '{key}' is {value!r}, not a number")
-    return float(value)
+    try:
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # JSON's whole numbers have any number of digits
+        pass
+    raise InputError(f"{where}: '{key}' is {shown(value)}, not a number")
+
+
+def frame_size(width: float | None, height: float | None) -> tuple[int, int] | None:
+    """Whole pixels, or None if no frame has such sides."""
+    sides = [side for side in (width, height) if side is not None and 1 <= side <= LARGEST_SIDE]
+    if len(sides) < 2 or any(side % 1 for side in sides):
+        return None
+    return int(sides[0]), int(sides[1])
 
 
 def rigid(matrix: Any, where: str, key: str = "transform_matrix") -> NDArray[np.float64]:
     """A 4x4 (or 3x4) camera-to-world matrix with an exact rotation."""
     try:
         rows = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         rows = np.empty(0)
     if rows.shape not in ((4, 4), (3, 4)) or not np.isfinite(rows).all():
         raise InputError(f"{where}: '{key}' is not a 4x4 matrix of numbers")
     if len(rows) == 4 and not np.allclose(rows[3], [0, 0, 0, 1], atol=RIGID_TOLERANCE):
         raise InputError(f"{where}: the last row of '{key}' is not 0 0 0 1")
     rotation = rows[:3, :3]
-    if np.abs(rotation.T @ rotation - np.eye(3)).max() > RIGID_TOLERANCE:
+    if not is_rotation(rotation, or_mirror=True):
         raise InputError(f"{where}: '{key}' is no rigid motion (scaled or sheared)")
     if np.linalg.det(rotation) < 0:
         raise InputError(f"{where}: '{key}' mirrors the scene")
+    if np.abs(rows[:3, 3]).max() > FARTHEST:
+        raise InputError(f"{where}: '{key}' is too far out to be drawn")
     left, _, right = np.linalg.svd(rotation)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = left @ right, rows[:3, 3]
     return pose
+
+
+def is_rotation(matrix: NDArray[np.float64], or_mirror: bool = False) -> bool:
+    """Whether a (3, 3) matrix turns and nothing else; other programs round to few digits."""
+    if not (np.abs(matrix) < 2).all():  # also what is not a number, and what would overflow
+        return False
+    error = np.abs(matrix.T @ matrix - np.eye(3)).max()
+    return bool(error <= RIGID_TOLERANCE) and (or_mirror or bool(np.linalg.det(matrix) > 0))
+
+
+def shown(value: object) -> str:
+    """A value for a message: JSON's can be as long as the file."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # thousands of digits, or of brackets
+        return "something"
+    return text if len(text) <= LONGEST_QUOTE else f"{text[:LONGEST_QUOTE]}..."

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.json_values import FARTHEST, frame_size, is_rotation
 
 # Viewers read only the first kilobytes when they look for the end of a PLY header (10 KB in a
 # popular one), so a camera is one short line: 8 of them are about 1.5 KB.
@@ -40,9 +41,11 @@ def _parse(text: str) -> Camera | None:
         return None
     if len(values) != NUMBERS or not all(math.isfinite(value) for value in values):
         return None
-    width, height, fx, fy, cx, cy = values[:6]
-    if width < 1 or height < 1 or fx <= 0 or fy <= 0:
-        return None
+    size, (fx, fy, cx, cy) = frame_size(*values[:2]), values[2:6]
     extrinsics = np.eye(4)
     extrinsics[:3] = np.reshape(values[6:], (3, 4))
-    return Camera(extrinsics, fx, fy, cx, cy, int(width), int(height))
+    if size is None or fx <= 0 or fy <= 0 or not is_rotation(extrinsics[:3, :3]):
+        return None
+    if np.abs(extrinsics[:3, 3]).max() > FARTHEST:
+        return None
+    return Camera(extrinsics, fx, fy, cx, cy, *size)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.json_values import load_object, number, rigid
+from styl3r_cli.cameras.json_values import frame_size, load_object, number, rigid, shown
 from styl3r_cli.errors import InputError
 from styl3r_cli.files import atomic_write
 
@@ -59,7 +59,15 @@ def write_transforms(path: Path, cameras: Sequence[Camera], file_paths: Sequence
     frames = [frame_entry(*pair) for pair in zip(cameras, file_paths, strict=True)]
     content = {"camera_model": WRITTEN_MODEL, "frames": frames}
     with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", "utf-8")
+        temporary.write_bytes(_readable(content) + b"\n")
+
+
+def _readable(content: dict[str, Any]) -> bytes:
+    """JSON with letters as they are; escaped, where a file's name has bytes that are no text."""
+    try:
+        return json.dumps(content, indent=2, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return json.dumps(content, indent=2).encode()
 
 
 def read_transforms(source: Path | bytes, size: tuple[int, int] | None = None) -> CameraFile:
@@ -153,7 +161,9 @@ def frame_entry(camera: Camera, file_path: str) -> dict[str, Any]:
 def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> Camera:
     model = values.get("camera_model", WRITTEN_MODEL)
     if model not in PINHOLES:
-        raise InputError(f"{where}: camera_model {model!r} is no perspective camera; undistort it")
+        raise InputError(
+            f"{where}: camera_model {shown(model)} is no perspective camera; undistort it"
+        )
     width, height = _size(values, size, where)
     fx = _focal(values, "fl_x", "camera_angle_x", width, where)
     fy = _focal(values, "fl_y", "camera_angle_y", height, where)
@@ -178,9 +188,10 @@ def _size(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> t
         if size is None:
             raise InputError(f"{where}: no 'w' and 'h'; add the photos' size to the file")
         return size
-    if width < 1 or height < 1 or width % 1 or height % 1:
+    found = frame_size(width, height)
+    if found is None:
         raise InputError(f"{where}: 'w' and 'h' are {width:g} and {height:g}, not a picture's size")
-    return int(width), int(height)
+    return found
 
 
 def _focal(

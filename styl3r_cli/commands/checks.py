@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from styl3r_cli.errors import OutputError, UsageError
+from styl3r_cli.names import real_path
 
 
 def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
@@ -17,17 +18,26 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
         UsageError: a result would replace something that is read.
         OutputError: a folder is missing, or may not be written to.
     """
-    read = {path.resolve() for path in inputs}
+    read = {real_path(path) for path in inputs}
     for path in outputs:
-        target = path.resolve()
+        target = real_path(path)
         if target in read:
             raise UsageError(f"{path} is also an input; results never replace what they come from")
-        if target.is_dir():
-            raise OutputError(f"cannot write {path}: it is a folder; name a file in it")
-        if not target.parent.is_dir():
-            raise OutputError(f"cannot write {path}: the folder {path.parent} does not exist")
-        if not os.access(target if target.exists() else target.parent, os.W_OK):
-            raise OutputError(f"cannot write {path}: permission denied")
+        try:
+            _check_place(path, target)
+        except OSError as error:
+            raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _check_place(path: Path, target: Path) -> None:
+    if target.is_symlink():
+        raise OutputError(f"cannot write {path}: a loop of links")
+    if target.is_dir():
+        raise OutputError(f"cannot write {path}: it is a folder; name a file in it")
+    if not target.parent.is_dir():
+        raise OutputError(f"cannot write {path}: the folder {path.parent} does not exist")
+    if not os.access(target if target.exists() else target.parent, os.W_OK):
+        raise OutputError(f"cannot write {path}: permission denied")
 
 
 def check_stdout(option: str) -> None:

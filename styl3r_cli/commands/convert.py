@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from styl3r_cli.commands.options import STDOUT, quiet_option
 from styl3r_cli.formats import MODULES
+from styl3r_cli.names import user_path
 
 HELP = """\
 Convert a scene between file formats; the files' suffixes say which.
@@ -60,13 +59,13 @@ def command(
     from styl3r_cli.formats import encode_scene, scene_suffix, write_scene
 
     console = Console(quiet)
-    path = Path(target).expanduser()
+    path = user_path(target)
     suffix = f".{target_format}" if target_format else ".ply"
     if target == STDOUT:
         check_stdout("-")
     else:
         suffix = suffix if target_format else scene_suffix(path)
-        check_outputs([path], [] if source == STDOUT else [Path(source).expanduser()])
+        check_outputs([path], [] if source == STDOUT else [user_path(source)])
     with console.stage("read"):
         scene = load(source, source_format).scene
     with console.stage("write"):

@@ -30,6 +30,7 @@ from styl3r_cli.frames import (
     write_picture,
 )
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.names import user_path
 
 SCENE_KEYS = ("generator", "model")  # of a scene's metadata, for the frames made of it
 
@@ -44,9 +45,7 @@ def film(request: RenderRequest, quiet: bool) -> None:
     drawing = Drawing(background_of(request), request.threads, request.antialias)
     check(request)
     with console.stage("scene"):
-        scene = _read(
-            STDOUT if request.scene == STDOUT else Path(request.scene).expanduser(), console
-        )
+        scene = _read(STDOUT if request.scene == STDOUT else user_path(request.scene), console)
         other = _read(request.compare, console) if request.compare else None
         shots = plan_shots(request, scene, console)
     if request.save_path:

@@ -11,6 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from styl3r_cli import console
+from styl3r_cli.names import user_path
 
 STDOUT = "-"
 LOOP_FRAMES, LOOP_FPS = 72, 24.0  # a path's one loop in three seconds: slow enough to look around
@@ -36,12 +37,12 @@ class StyleType(click.ParamType):
         if isinstance(value, WeightedStyle):
             return value
         path, separator, weight = str(value).rpartition("=")
-        if separator and path and not Path(value).expanduser().exists():
+        if separator and path and not user_path(value).exists():
             try:
-                return WeightedStyle(Path(path).expanduser(), float(weight))
+                return WeightedStyle(user_path(path), float(weight))
             except ValueError:
                 pass  # part of the file's name
-        return WeightedStyle(Path(value).expanduser(), 1.0)
+        return WeightedStyle(user_path(value), 1.0)
 
 
 class SizeType(click.ParamType):
@@ -70,7 +71,7 @@ class UserPath(click.ParamType):
         """Refuse what no file can be called."""
         if not str(value) or "\0" in str(value):
             self.fail("the file name is empty", param, ctx)
-        return Path(value).expanduser()
+        return user_path(value)
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str

@@ -12,6 +12,7 @@ from styl3r_cli.errors import OutputError, UsageError
 from styl3r_cli.frames import Colour
 from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.movies import PIPED
+from styl3r_cli.names import user_path
 
 PICTURES = ("png", "jpg", "jpeg")
 LINEAR = "exr"
@@ -62,7 +63,7 @@ class RenderRequest:
     @property
     def file(self) -> Path:
         """The output's name, or the pattern of its frames' names."""
-        return Path(self.output).expanduser()
+        return user_path(self.output)
 
     @property
     def one_file(self) -> bool:
@@ -120,7 +121,7 @@ def check(request: RenderRequest) -> None:
             _make_folder(path.parent)
             path = numbered(path, 0)
         outputs.append(path)
-    read = [Path(request.scene).expanduser()] if request.scene != STDOUT else []
+    read = [user_path(request.scene)] if request.scene != STDOUT else []
     read += [path for path in (request.cameras, request.compare) if path]
     check_outputs(outputs, read)
 

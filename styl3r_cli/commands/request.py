@@ -15,6 +15,7 @@ from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.files import read_stdin
 from styl3r_cli.formats import scene_suffix
 from styl3r_cli.movies import FILES as MOVIES
+from styl3r_cli.names import real_path, user_path
 from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
 from styl3r_cli.photos.listing import parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE
@@ -51,7 +52,7 @@ class SceneRequest:
     @property
     def scene_path(self) -> Path | None:
         """Where the scene goes; None for standard output."""
-        return None if self.output == STDOUT else Path(self.output).expanduser()
+        return None if self.output == STDOUT else user_path(self.output)
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,9 @@ def _without_styles(request: SceneRequest, photos: list[Path], notes: list[str])
 
     A file that is named as both is both.
     """
-    styles = {style.path.resolve() for style in request.styles}
-    styles -= {Path(name).expanduser().resolve() for name in request.photos}
-    both = [path for path in photos if path.resolve() in styles]
+    styles = {real_path(style.path) for style in request.styles}
+    styles -= {real_path(user_path(name)) for name in request.photos}
+    both = [path for path in photos if real_path(path) in styles]
     notes += [f"{path} is a style, so it is not used as a photo" for path in both]
     return [path for path in photos if path not in both]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras.stored import KEY, cameras_from_metadata
 from styl3r_cli.commands.scene_file import SceneFile
+from styl3r_cli.console import one_line
 from styl3r_cli.formats import MODULES, Scene, encode_scene
 from styl3r_cli.formats.values import ATTRIBUTES
 from styl3r_cli.gaussians import Gaussians
@@ -67,7 +68,7 @@ def table(report: dict[str, Any]) -> str:
     """The same for people."""
     count = report["gaussians"]
     size = f"{report['format']}, {_megabytes(report['bytes'])}, {count:,} Gaussians"
-    lines = [f"{report['path']}: {size}"]
+    lines = [f"{one_line(report['path'])}: {size}"]
     if count:
         lines += ["", f"{'':10}{'least':>14}{'middle':>14}{'most':>14}"]
         for name, ends in report["ranges"].items():
@@ -80,7 +81,8 @@ def table(report: dict[str, Any]) -> str:
     sizes = sorted({f"{c['width']}x{c['height']}" for c in report["cameras"]})
     cameras = f"{len(report['cameras'])}" + (f" ({', '.join(sizes)})" if sizes else "")
     lines.append(f"cameras     {cameras}")
-    lines += [f"{key:11} {value}" for key, value in report["metadata"].items()]
+    # A file may say anything here: sequences that control a terminal, or bytes that are no text.
+    lines += [f"{key:11} {one_line(value)}" for key, value in report["metadata"].items()]
     if "sizes" in report:
         lines += ["", "in every format"]
         for suffix, size_in in report["sizes"].items():

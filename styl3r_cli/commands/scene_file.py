@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import InputError
 from styl3r_cli.files import read_stdin
 from styl3r_cli.formats import Scene, read_scene, recognise, scene_suffix
+from styl3r_cli.names import user_path
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def load(source: str, kind: str | None = None) -> SceneFile:
         data = read_stdin()
         suffix = suffix or recognise(data) or ""
         return SceneFile(read_scene(data, suffix or None), suffix, len(data))
-    path = Path(source).expanduser()
+    path = user_path(source)
     suffix = suffix or scene_suffix(path)
     scene = read_scene(path, suffix)
     try:

@@ -17,6 +17,7 @@ from styl3r_cli.console import Console
 from styl3r_cli.errors import UsageError
 from styl3r_cli.formats import Scene
 from styl3r_cli.frames import enlarged
+from styl3r_cli.names import user_path
 
 LEAST_SIDE = 512  # stored cameras have the network's few pixels; Gaussians are smooth between them
 
@@ -73,7 +74,7 @@ def _file_of_path(path: str | None) -> Path | None:
     """The file that --path names instead of a movement."""
     if path is None or path in PATHS:
         return None
-    file = Path(path).expanduser()
+    file = user_path(path)
     if not file.suffix and not file.exists():
         known = ", ".join(PATHS)
         raise UsageError(f"--path {path}: there is no such path; use {known}, or a camera file")

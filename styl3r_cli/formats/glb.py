@@ -22,6 +22,7 @@ from styl3r_cli.formats.glb_container import Arrays, read_array, split
 from styl3r_cli.formats.glb_nodes import Placed, placed
 from styl3r_cli.formats.scene import Encoded, Scene
 from styl3r_cli.formats.values import (
+    check_count,
     finite_only,
     from_harmonics,
     in_float32,
@@ -43,6 +44,7 @@ PROPERTIES = {
 }
 POINTS = 0  # glTF's drawing mode
 KEY = "styl3r"  # of asset.extras, for the metadata that this program writes along
+MOST_PARTS = 1024  # each takes a millisecond, however small it is
 COLOUR_LEVELS = 65535  # COLOR_0 is linear, where 8 bits would show steps in the dark
 
 
@@ -92,10 +94,17 @@ def decode(data: bytes, name: str) -> Scene:
         asset = document.get("asset")
         metadata = _metadata(asset)
         notes: list[str] = []
-        parts = [_read(document, binary, place, notes) for place in _splats(document)]
+        parts, count = list[Gaussians](), 0
+        for place in _splats(document):
+            parts.append(_read(document, binary, place, notes))
+            # Nodes may share a mesh: a few kilobytes of them would be billions of Gaussians.
+            count += len(parts[-1])
+            check_count(count, len(data), name)
+            if len(parts) > MOST_PARTS:
+                raise ValueError(f"its Gaussians are in more than {MOST_PARTS} parts")
     except InputError:
         raise
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise InputError(f"{name}: damaged: {str(error)[:80] or type(error).__name__}") from error
     own = isinstance(asset, dict) and str(asset.get("generator", "")).startswith("styl3r ")
     if not parts and not (own and not document.get("meshes")):
@@ -164,8 +173,11 @@ def _read(
     if HARMONICS not in attributes:
         raise ValueError("its Gaussians have no degree-0 harmonics, or are compressed")
 
-    def array(key: str) -> NDArray[np.float64]:
-        return read_array(document, binary, attributes[key]).astype(np.float64)
+    def array(key: str, width: int = 3) -> NDArray[np.float64]:
+        values = read_array(document, binary, attributes[key])
+        if values.shape[1] != width:
+            raise ValueError(f"'{key}' has {values.shape[1]} instead of {width} numbers")
+        return values.astype(np.float64)
 
     if any(":SH_DEGREE_" in key and key != HARMONICS for key in attributes):
         notes.append("view-dependent colours are ignored")
@@ -177,8 +189,8 @@ def _read(
         gaussians = in_float32(
             means=array("POSITION"),
             scales=np.abs(array(f"{EXTENSION}:SCALE")),
-            rotations=unit(np.roll(array(f"{EXTENSION}:ROTATION"), 1, axis=1)),
-            opacities=array(f"{EXTENSION}:OPACITY")[:, 0].clip(0, 1),
+            rotations=unit(np.roll(array(f"{EXTENSION}:ROTATION", 4), 1, axis=1)),
+            opacities=array(f"{EXTENSION}:OPACITY", 1)[:, 0].clip(0, 1),
             colours=colours,
         )
         return place.moved(gaussians)

@@ -67,7 +67,8 @@ def placed(document: dict[str, Any]) -> Iterator[Placed]:
             raise ValueError("its nodes are no tree")
         seen.add(index)
         node = document["nodes"][index]
-        matrix = outer @ _matrix(node)
+        with np.errstate(over="ignore", invalid="ignore"):  # Gaussians there are dropped as such
+            matrix = outer @ _matrix(node)
         if "mesh" in node:
             yield from _of_mesh(document["meshes"][node["mesh"]], matrix)
         waiting += [(child, matrix, depth + 1) for child in node.get("children", [])]

@@ -30,6 +30,7 @@ SCALARS = {
 }
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 END = b"end_header"
+MOST_ROWS = 1 << 62  # no file has more; numbers of thousands of digits make long messages
 LONGEST_QUOTE = 80  # characters of a damaged file in a message
 LONGEST_HEADER = 1 << 20  # a file without an end of the header is not searched for gigabytes
 
@@ -115,7 +116,7 @@ def _parse_header(lines: list[str], name: str) -> tuple[str, list[Element], list
                     order = BYTE_ORDERS[encoding]
                 case ["element", element, count]:
                     elements.append(Element(element, int(count)))
-                    if int(count) < 0:
+                    if not 0 <= int(count) <= MOST_ROWS:
                         raise ValueError(count)
                 case ["property", "list", length, item, label]:
                     _ = SCALARS[length], SCALARS[item]

@@ -32,6 +32,9 @@ from styl3r_cli.photos.focal import read_equivalent_focal
 
 # A 200-megapixel phone photo passes; more is a scan too large for this, or a decompression bomb.
 MAX_PIXELS = 220_000_000
+# Photos have at most ten pixels a byte, flat drawings some dozens. What claims more, and would take
+# much memory, is a decompression bomb.
+BELIEVED_PIXELS, MOST_PIXELS_A_BYTE = 32_000_000, 100
 # Formats that hold photos; Pillow's others include ones that start external programs (EPS).
 # HEIF is there once pillow-heif has registered it, AVIF where Pillow was built with it.
 FORMATS = ["JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "AVIF", "HEIF"]
@@ -97,6 +100,7 @@ def decode(path: Path) -> Decoded:
         data = path.read_bytes()
         _refuse_by_content(path, data)
         with Image.open(io.BytesIO(data), formats=_formats()) as opened:
+            _refuse_bombs(path, opened.width * opened.height, len(data))
             opened.load()
             notes: list[str] = []
             focal = read_equivalent_focal(opened)
@@ -147,6 +151,12 @@ def _refuse_by_content(path: Path, data: bytes) -> None:
         register_heif_opener()
 
 
+def _refuse_bombs(path: Path, pixels: int, size: int) -> None:
+    if pixels > BELIEVED_PIXELS and pixels > MOST_PIXELS_A_BYTE * size:
+        what = f"{pixels // 10**6} megapixels in {size} bytes"
+        raise InputError(f"{path}: {what} are no photo; scale it down first")
+
+
 def _upright(image: Image.Image, opened: Image.Image) -> Image.Image:
     # Asked after loading: some of Pillow's readers turn the picture themselves and say so then.
     method = UPRIGHT.get(opened.getexif().get(ORIENTATION, 1))
@@ -177,12 +187,13 @@ def _to_srgb(image: Image.Image, notes: list[str]) -> Image.Image:
 
 def _eight_bits(image: Image.Image) -> NDArray[np.uint8]:
     """16-bit grey (modes I;16, I;16B, I) to 8 bits, rounded; Pillow's own conversion clips."""
-    values = np.asarray(image).astype(np.int64)
+    values = np.asarray(image)
     if values.min() < 0 or values.max() > MAX_16_BIT:
         raise ValueError("32-bit integer pixels; save it with 8 or 16 bits a channel")
     if image.format == "TIFF" and image.mode != "I" and _white_is_zero(image):
         values = MAX_16_BIT - values
-    return ((values * MAX_8_BIT + MAX_16_BIT // 2) // MAX_16_BIT).astype(np.uint8)
+    scaled = values.astype(np.uint32) * MAX_8_BIT + MAX_16_BIT // 2
+    return (scaled // MAX_16_BIT).astype(np.uint8)
 
 
 def _white_is_zero(image: Image.Image) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from styl3r_cli.errors import InputError
+from styl3r_cli.names import user_path
 
 JPEG = (".jpg", ".jpeg", ".jpe")
 HEIF = (".heic", ".heif", ".hif", ".avif")
@@ -63,7 +64,7 @@ def _paths(arguments: Sequence[str], listed: Sequence[str]) -> Iterator[tuple[st
         if argument == "-":
             yield from ((name, Path(name)) for name in listed)
         else:
-            yield argument, Path(argument).expanduser()
+            yield argument, user_path(argument)
 
 
 def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:

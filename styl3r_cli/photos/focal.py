@@ -78,7 +78,7 @@ def focal_from_fov(degrees: float, width: int) -> float:
 def _number(tags: Mapping[int, Any], tag: int) -> float | None:
     try:
         value = float(tags[tag])
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+    except (KeyError, TypeError, ValueError, ArithmeticError):
         return None
     return value if math.isfinite(value) else None
 

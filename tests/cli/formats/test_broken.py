@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import tracemalloc
+import warnings
 import zipfile
 from collections.abc import Callable
 
@@ -153,8 +154,7 @@ def test_sog_values_that_overflow_are_dropped() -> None:
     assert scene.non_finite == {"means": scene.dropped}
 
 
-def changed_glb(change: Callable[[dict], object]) -> bytes:
-    whole = SMALL[".glb"]
+def changed_glb(change: Callable[[dict], object], whole: bytes = SMALL[".glb"]) -> bytes:
     length = struct.unpack_from("<I", whole, 12)[0]
     document = json.loads(whole[20 : 20 + length])
     change(document)
@@ -174,9 +174,19 @@ def deep(document: dict) -> None:
     document["scenes"][0]["nodes"] = [len(document["nodes"]) - 2000]
 
 
+def crowded(document: dict) -> None:
+    """A few bytes a node, and a whole scene in each."""
+    document["nodes"] += [{"mesh": 0}] * 1100
+    document["scenes"][0]["nodes"] = list(range(len(document["nodes"])))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (lambda d: d["nodes"][0].update(matrix=[10**400] * 16), "damaged"),
+        (lambda d: d["nodes"][0].update(translation=[10**400, 0, 0]), "damaged"),
+        (lambda d: d["accessors"][2].update(type="SCALAR"), "ROTATION' has 1 instead of 4"),
+        (lambda d: d["accessors"][3].update(type="SCALAR"), "SCALE' has 1 instead of 3"),
         (lambda d: d["accessors"][0].update(count=10**12), "array ends after its data"),
         (lambda d: d["accessors"][0].update(count=-1), "no size"),
         (lambda d: d["accessors"][0].update(count=2.5), "no size"),
@@ -207,6 +217,24 @@ def test_gltf_descriptions_that_lie(change: Callable[[dict], object], words: str
     refused(changed_glb(change), ".glb", words)
 
 
+def test_gltf_nodes_that_multiply_gaussians() -> None:
+    with pytest.raises(InputError, match="more than 1024 parts"):
+        read_scene(changed_glb(crowded), ".glb")
+    many = encode_scene(scene_of(20_000), {}, ".glb").data
+    with pytest.raises(InputError, match=r"claims \d+ Gaussians in"):
+        read_scene(changed_glb(crowded, many), ".glb")
+
+
+def test_gltf_nodes_out_of_range_are_dropped() -> None:
+    def far(document: dict) -> None:
+        document["nodes"][0].update(matrix=[1e300] * 16)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene = read_scene(changed_glb(far), ".glb")
+    assert (len(scene.gaussians), scene.dropped) == (0, 30)
+
+
 def test_json_that_is_nested_too_deeply() -> None:
     text = b"[" * 100_000
     size = len(text)
@@ -231,6 +259,7 @@ LITTLE = "format binary_little_endian 1.0"
             "names no property",
         ),
         (ply(LITTLE, f"element vertex {'9' * 5000}"), "bad line"),
+        (ply(LITTLE, f"element vertex {'9' * 40}"), "bad line"),
         (ply(LITTLE, "element vertex " + "x" * 100_000), "bad line"),
         (
             ply(

@@ -1,0 +1,191 @@
+"""Names and files made to break a reader: one line, the right code, nothing written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from styl3r_cli import main
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.camera_path import read_camera_path
+from styl3r_cli.cameras.json_values import FARTHEST, LARGEST_SIDE
+from styl3r_cli.cameras.stored import cameras_from_metadata, cameras_to_metadata
+from styl3r_cli.cameras.transforms import read_transforms
+from styl3r_cli.errors import InputError
+from styl3r_cli.formats import write_scene
+from styl3r_cli.gaussians import Gaussians
+
+Run = Callable[..., tuple[int, bytes, str]]
+LONG = "a" * 300  # file systems take 255 bytes
+
+NAMES = [
+    (f"reconstruct {LONG} -o x.ply", 3, "too long"),
+    (f"stylize photos -s {LONG}.png -o x.ply", 3, "too long"),
+    (f"stylize photos -s style.jpg -o {LONG}.ply", 6, "too long"),
+    ("reconstruct ~nobody-here/a -o x.ply", 3, "~nobody-here/a: not found"),
+    ("stylize photos -s ~nobody-here/a -o x.ply", 3, "no such style"),
+    ("stylize photos -s style.jpg -o ~nobody-here/x.ply", 6, "does not exist"),
+    ("reconstruct photos -o x.ply --video ~nobody-here/x.mp4", 6, "does not exist"),
+    ("reconstruct loop -o x.ply", 3, "loop: this link"),
+    ("stylize photos -s loop -o x.ply", 3, "no such style"),
+    ("reconstruct photos -o loop.ply", 6, "a loop of links"),
+    ("reconstruct photos -o x.ply --cameras loop", 3, "symbolic links"),
+]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and ~user are Unix's")
+@pytest.mark.parametrize(("arguments", "expected", "words"), NAMES)
+def test_names_that_no_file_can_have(
+    run: Run,
+    photos: list[Path],
+    style: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: str,
+    expected: int,
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("loop", "loop.ply"):
+        Path(name).symlink_to(name)
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = run(*arguments.split(), "--fov", "50")
+    assert (code, out, err.count("\n")) == (expected, b"", 1)
+    assert words in err
+    assert "bug" not in err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names")
+def test_names_with_spaces_line_breaks_and_bytes_that_are_no_text(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / os.fsdecode(b"a \xff\n;b")
+    folder.mkdir()
+    odd = [folder / os.fsdecode(b"\xfe \n'%d.png" % index) for index in range(2)]
+    for photo, name in zip(photos, odd, strict=False):
+        photo.rename(name)
+    outputs = {"-o": "s.ply", "--cameras-out": "c.json"}
+    named = [part for option, name in outputs.items() for part in (option, folder / name)]
+    code, out, err = run("stylize", folder, "-s", style, *named, "--json", "--fov", "50")
+    assert (code, err.count("\n")) == (0, err.count("styl3r: "))  # notes are a line each
+    json.loads(out)
+    written = read_transforms(folder / "c.json")
+    assert [os.fsencode(name) for name in written.file_paths] == [
+        os.fsencode(photo.name) for photo in odd
+    ]
+    again = ("-o", folder / "t.ply", "--cameras", folder / "c.json")
+    code, _, err = run("reconstruct", folder, *again)
+    assert (code, "no camera" in err) == (0, False)
+
+
+def transforms(**changes: Any) -> bytes:
+    frame = {"file_path": "0.png", "transform_matrix": np.eye(4).tolist()}
+    return json.dumps({"w": 64, "h": 64, "fl_x": 60, "frames": [frame]} | changes).encode()
+
+
+def placed(matrix: Any) -> dict[str, Any]:
+    return {"frames": [{"transform_matrix": matrix}]}
+
+
+OVERFLOWING = np.eye(4)
+OVERFLOWING[:2, :2] = [[1e200, 1e200], [-1e200, 1e200]]  # its product with itself has NaN
+FAR = np.eye(4)
+FAR[0, 3] = 1e300
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"w": 10**400}, "'w' is 1000000000000000000000000000000000000000..., not a number"),
+        ({"w": list(range(10**4))}, "not a number"),
+        ({"w": 1e300}, "not a picture's size"),
+        ({"w": LARGEST_SIDE + 1}, "not a picture's size"),
+        ({"fps": -(10**400)}, "not a number"),
+        ({"camera_model": "x" * 10**5}, "no perspective camera"),
+        (placed([[10**400, 0, 0, 0]] * 4), "not a 4x4 matrix"),
+        (placed(OVERFLOWING.tolist()), "no rigid motion"),
+        (placed(np.diag([np.nan, 1, 1, 1]).tolist()), "not a 4x4 matrix"),
+        (placed(np.diag([1.01, 1, 1, 1]).tolist()), "no rigid motion"),
+        (placed(np.diag([1, 1, -1, 1]).tolist()), "mirrors"),
+        (placed(FAR.tolist()), "too far out"),
+    ],
+)
+def test_camera_files_beyond_numbers(changes: dict[str, Any], words: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # none reaches the user's screen
+        with pytest.raises(InputError, match=re.escape(words)) as caught:
+            read_transforms(transforms(**changes))
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("width", [10**400, 1e300, LARGEST_SIDE + 1, 0.5, -3])
+def test_camera_paths_beyond_numbers(width: float) -> None:
+    content = {"render_width": width, "render_height": 9, "camera_path": [{}]}
+    with pytest.raises(InputError, match="render_width") as caught:
+        read_camera_path(json.dumps(content).encode())
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "64 64 60 60 32 32" + " 0" * 12,
+        "64 64 60 60 32 32" + " 1e300" * 12,
+        "1e300 64 60 60 32 32 1 0 0 0 0 1 0 0 0 0 1 0",
+        "64 200000 60 60 32 32 1 0 0 0 0 1 0 0 0 0 1 0",
+        "64 64 60 60 32 32 1 0 0 0 0 1 0 0 0 0 -1 0",
+        f"64 64 60 60 32 32 1 0 0 {2 * FARTHEST} 0 1 0 0 0 0 1 0",
+        "64 64 60 60 32 32 1 0 0 nan 0 1 0 0 0 0 1 0",
+    ],
+)
+def test_cameras_in_scenes_that_no_view_has(text: str) -> None:
+    """They are other programs' comments: the scene is as good without them."""
+    assert cameras_from_metadata({"camera.0": text}) == []
+
+
+def test_cameras_in_scenes_survive_their_rounding() -> None:
+    turn, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+    extrinsics = np.eye(4)
+    extrinsics[:3, :3], extrinsics[:3, 3] = turn * np.linalg.det(turn), [1e6, -3, 1e-7]
+    (camera,) = cameras_from_metadata(
+        cameras_to_metadata([Camera(extrinsics, 60, 61, 32, 31, 64, 48)])
+    )
+    np.testing.assert_allclose(camera.extrinsics, extrinsics, rtol=1e-7)
+
+
+def test_text_in_scenes_does_not_reach_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sequences that command a terminal, and what is no text, are shown as such."""
+    one = np.ones((1, 3), np.float32)
+    scene = Gaussians(one, one, np.eye(4, dtype=np.float32)[:1], one[:, 0], one)
+    write_scene(tmp_path / "a.ply", scene, {"note": "\x1b]0;owned\x07 \ud800 \r\n"})
+    assert main.run(["info", str(tmp_path / "a.ply"), "--no-sizes"]) == 0
+    out = capsys.readouterr().out
+    assert r"note        \x1b]0;owned\x07 \ud800 \r\n" in out
+    assert "\x1b" not in out
+    for suffix in (".glb", ".sog", ".compressed.ply"):
+        assert main.run(["convert", str(tmp_path / "a.ply"), str(tmp_path / f"b{suffix}")]) == 0
+
+
+def test_a_hundred_megapixels_in_a_few_kilobytes(run: Run, photos: list[Path]) -> None:
+    """A decompression bomb is left out before it takes memory; other photos go on."""
+    bomb = photos[0].with_name("bomb.png")
+    Image.new("1", (20_000, 10_000)).save(bomb, compress_level=9)
+    assert bomb.stat().st_size < 100_000
+    scene = photos[0].with_name("x.ply")
+    code, _, err = run("reconstruct", *photos[:2], bomb, "-o", scene, "--fov", "50")
+    assert code == 0
+    assert "left out: " in err
+    assert "bomb.png: 200 megapixels in" in err
