@@ -7,10 +7,11 @@ import torch
 from torch.nn import functional as F
 
 from styl3r_export.model.bundle import Sides, adjust, solve
-from styl3r_export.model.matching import OUTLIERS as SCHEDULE
+from styl3r_export.model.matching import COARSE, FINE
 from styl3r_export.model.rotations import Motion, multiply_quaternions, rotation_matrix
 
 PAIRS, CELLS = 4, 256
+SCHEDULE = COARSE + FINE
 
 
 def still(pairs: int = PAIRS) -> Motion:

@@ -65,7 +65,7 @@ def turn(degrees: float) -> Tensor:
     return torch.tensor([math.cos(half), 0.1 * math.sin(half), math.sqrt(0.99) * math.sin(half), 0])
 
 
-@pytest.mark.parametrize(("degrees", "shift"), [(3, 0.08), (12, 0.25), (25, 0.45)])
+@pytest.mark.parametrize(("degrees", "shift"), [(3, 0.08), (12, 0.25), (25, 0.45), (40, 0.7)])
 def test_exact_flow_gives_the_camera_and_the_depth(degrees: float, shift: float) -> None:
     rotation = turn(degrees)
     translation = shift * F.normalize(torch.tensor([-1.0, 0.1, 0.15]), dim=0)

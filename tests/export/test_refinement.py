@@ -176,12 +176,22 @@ def test_points_of_both_views_meet() -> None:
     # The smooth correction of the depths follows the wave's bends only in part.
     assert plane_gap(found.motion, found.depth) < plane_gap(guess, wrong) / 3
     assert angles(found.motion.rotation, motion.rotation) < 2
+    assert found.trust.tolist() == [[1.0, 1.0]]
+
+
+def test_a_view_that_matches_nowhere_is_not_trusted() -> None:
+    motion, depth, matches = plane_scene()
+    generator = torch.Generator().manual_seed(6)
+    noise = torch.rand(matches.matched.shape, generator=generator) - 0.5
+    found = refine(motion, depth, torch.full_like(depth, -2.0), matches._replace(matched=noise))
+    assert found.trust[0, 1] < 0.3
 
 
 def test_without_matches_nothing_moves() -> None:
     motion, depth, matches = plane_scene()
     nothing = matches._replace(weight=matches.weight * 0)
     found = refine(motion, depth, torch.full_like(depth, -2.0), nothing)
+    assert found.trust.tolist() == [[1.0, 0.0]]
     torch.testing.assert_close(found.motion.rotation, motion.rotation, rtol=0, atol=1e-6)
     torch.testing.assert_close(found.motion.translation, motion.translation, rtol=0, atol=1e-6)
     torch.testing.assert_close(found.depth, depth, rtol=1e-5, atol=0)

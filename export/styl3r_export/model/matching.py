@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -12,7 +13,7 @@ from torch.nn import functional as F
 from styl3r_export.model.bundle import NOISE, Fit, Sides, adjust, fit
 from styl3r_export.model.config import ModelConfig
 from styl3r_export.model.flow import Flow, Flows
-from styl3r_export.model.rotations import Motion, full_precision
+from styl3r_export.model.rotations import Motion, full_precision, rotation_matrix
 
 # Numbers that describe the match of one 1/8 cell; four cells make one 16 px token.
 CELL_FEATURES = 12
@@ -25,12 +26,16 @@ TINY = 1e-6
 FLAT_STIFFNESS = 1.0
 # Bounds of the log depth that triangulation suggests: matches that say more are mistaken.
 MOST_LOG_DEPTH = 2.0
+# Rotation vectors (radians) of the motions that adjustment starts from, each an orbit around the
+# point at unit depth straight ahead. From one start a sixth of real pairs end in a wrong minimum;
+# more starts than these hardly help.
+STARTS = ((0.0, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, -0.5, 0.0), (0.4, 0.0, 0.0), (-0.4, 0.0, 0.0))
 # Errors (ray units; 1 is the focal length, a cell of a 256 px picture about 0.03) at which matches
-# are discounted, by iteration: from standing cameras every true match looks like an outlier first.
-OUTLIERS = (
-    0.5, 0.5, 0.4, 0.4, 0.3, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.03, 0.03, 0.02, 0.02,
-    0.015, 0.01,
-)  # fmt: skip
+# are discounted, by iteration: from a wrong start every true match looks like an outlier first.
+COARSE = (0.4, 0.4, 0.3, 0.3, 0.2, 0.2, 0.1, 0.1, 0.05, 0.05, 0.03, 0.03)
+FINE = (0.05, 0.05, 0.03, 0.03, 0.02, 0.02, 0.015, 0.01)
+# Matches agree with a motion up to about this error.
+AGREEMENT = 0.012
 
 
 def cell_rays(
@@ -93,10 +98,11 @@ class StarMatching(nn.Module):
         Flows learn from their own errors: no gradient comes back through the cameras.
         """
         sides, variance = sides_of(flows, intrinsics)
-        motion, rho = adjust(standing(sides.rays), sides, OUTLIERS)
+        batch = (intrinsics.shape[0], intrinsics.shape[1] - 1)
+        start = best_start(sides, batch[0] * batch[1], flows.log_spread.shape[-2:])
+        motion, rho = adjust(start, sides, FINE)
         fitted = fit(motion, sides, rho)
         numbers = describe(sides, variance, rho, fitted)
-        batch = (intrinsics.shape[0], intrinsics.shape[1] - 1)
         depth = triangulated(rho, fitted, batch).unflatten(-1, flows.log_spread.shape[-2:])
         pairs = motion.translation.shape[0]
         return Pairs(sides, motion, flows, depth), numbers[:pairs], numbers[pairs:]
@@ -133,10 +139,42 @@ def triangulated(
     return torch.cat((mean[:, None], rest), dim=1)
 
 
-def standing(cells: Float[Tensor, "2*pairs cells 3"]) -> Motion:
-    """The motion of cameras that stay where they are, one a pair."""
-    zero = cells[: cells.shape[0] // 2, 0, :1] * 0
-    return Motion(torch.cat((zero + 1, zero, zero, zero), -1), torch.cat((zero, zero, zero), -1))
+def best_start(sides: Sides, pairs: int, grid: Sequence[int]) -> Motion:
+    """The motion of each pair that most matches agree with, of those found from every start.
+
+    Every fourth cell is enough to tell.
+    """
+    few = Sides(*(t.unflatten(1, grid)[:, ::2, ::2].flatten(1, 2) for t in sides))
+    tried = Sides(*(repeat_pairs(t, pairs) for t in few))
+    found, rho = adjust(starts(sides.rays, pairs), tried, COARSE)
+    error = fit(found, tried, rho).error
+    agreed = (tried.weight / (1 + (error / AGREEMENT).square()).square()).sum(dim=-1)
+    agreed = agreed.unflatten(0, (2, len(STARTS), pairs)).sum(dim=0)
+    best = agreed.argmax(dim=0)[None, :, None]
+    rotation, translation = (
+        t.unflatten(0, (len(STARTS), pairs)).gather(0, best.expand(-1, -1, t.shape[-1]))[0]
+        for t in found
+    )
+    return Motion(rotation, translation)
+
+
+def repeat_pairs(t: Float[Tensor, "2*pairs ..."], pairs: int) -> Float[Tensor, "2*tries ..."]:
+    """All pairs once for each start, first views before the others as before."""
+    first, rest = t[:pairs], t[pairs:]
+    return torch.cat((first,) * len(STARTS) + (rest,) * len(STARTS))
+
+
+def starts(like: Tensor, pairs: int) -> Motion:
+    """The starting motions, one block of pairs for each."""
+    turns = torch.tensor(STARTS, device=like.device)
+    half = turns.norm(dim=-1, keepdim=True) / 2
+    axis = F.normalize(turns, dim=-1)
+    rotation = torch.cat((half.cos(), half.sin() * axis), dim=-1)
+    ahead = torch.tensor([0.0, 0.0, 1.0], device=like.device)
+    translation = ahead - rotation_matrix(rotation) @ ahead
+    return Motion(
+        *(t[:, None].expand(-1, pairs, -1).flatten(0, 1) for t in (rotation, translation))
+    )
 
 
 def sides_of(

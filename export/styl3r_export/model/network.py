@@ -56,6 +56,7 @@ class RayDecoding(NamedTuple):
     decoded: Float[Tensor, "batch views H W"]  # the depth before it was pulled to the matches
     log_error: Float[Tensor, "batch views H W"]  # log of that depth's expected relative error
     guessed: Pose  # before the decoded depths were matched
+    trust: Float[Tensor, "batch views"]  # in [0, 1]: whether the view's camera was found
     flows: Flows
     hooks: tuple[Tensor, ...]  # (batch * views, patches, dim) each
 
@@ -228,15 +229,15 @@ class Styl3r(nn.Module):
         guess = self.camera_head(camera, pairs.motion)
         # What refinement changes is a constant to training: the gradient of a bundle adjustment
         # is far larger than anything else where views hardly move.
-        motion, refined = guess, depth
+        motion, refined, trust = guess, depth, torch.ones_like(depth[..., 0, 0])
         if refined_too:
             with torch.no_grad():
-                motion, refined = refine(guess, depth, log_error, pairs.sides)
+                motion, refined, trust = refine(guess, depth, log_error, pairs.sides)
             refined = depth * (refined / depth).detach()
         batch = images.shape[0]
         return RayDecoding(
             refined, pose_of_motion(motion, batch), depth, log_error,
-            pose_of_motion(guess, batch), pairs.flows, flat,
+            pose_of_motion(guess, batch), trust, pairs.flows, flat,
         )  # fmt: skip
 
     def _ray_structure(self, content: Content, images: Tensor, intrinsics: Tensor) -> Structure:
@@ -246,7 +247,9 @@ class Styl3r(nn.Module):
         params = self.gaussian_param_head(rays.hooks, rows, columns, pictures, content.pyramid)
         params = params.unflatten(0, images.shape[:2])
         geometry = ray_geometry(rays.depth, params, intrinsics, rays.pose)
-        return Structure(geometry, rays)
+        # A view in the wrong place would be a second, shifted copy of the scene: it fades away.
+        faded = geometry.opacities * rays.trust[..., None, None]
+        return Structure(geometry._replace(opacities=faded), rays)
 
     @staticmethod
     def _per_view(
