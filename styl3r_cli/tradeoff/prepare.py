@@ -1,0 +1,97 @@
+"""What has to be there before points are measured: other precisions, and held-out cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from styl3r_cli.cameras.recover import recover
+from styl3r_cli.console import Console
+from styl3r_cli.errors import ModelError
+from styl3r_cli.graphs import find
+from styl3r_cli.manifest import MANIFEST, read_manifest
+from styl3r_cli.photos import load_photos, load_style
+from styl3r_cli.pipeline import Stylizer
+from styl3r_cli.tradeoff.points import GIVEN
+
+QUANTISERS = ("onnx", "onnx_ir")  # modules that making other precisions needs
+
+
+def model_folders(
+    model: str,
+    precisions: Sequence[str],
+    folder: Path,
+    photos: Sequence[Path],
+    styles: Sequence[Path],
+    console: Console,
+) -> dict[str, str]:
+    """The model in each precision; those that cannot be made here are left out with a note.
+
+    They are made in `folder`, from the same photos that are measured, and used again by a run that
+    goes on with an interrupted one.
+    """
+    source = find(model)
+    made = {GIVEN: str(source)}
+    weights = read_manifest(source)
+    wanted = [name for name in precisions if name != GIVEN]
+    missing = [name for name in QUANTISERS if find_spec(name) is None]
+    if missing and wanted:
+        console.note(
+            f"no other precisions without {', '.join(missing)}: pip install 'styl3r[export]'"
+        )
+        return made
+    for precision in wanted:
+        if precision == weights.precision:
+            continue
+        target = folder / precision
+        try:
+            if not _is_made(target, weights.weights_id):
+                with console.stage(f"model in {precision}"):
+                    _make(source, target, precision, photos, styles)
+            made[precision] = str(target)
+        except ModelError as error:
+            console.note(f"{precision} cannot be made: {error}")
+    return made
+
+
+def _is_made(target: Path, weights_id: str) -> bool:
+    if not (target / MANIFEST).is_file():
+        return False
+    return read_manifest(target).weights_id == weights_id
+
+
+def _make(
+    source: Path, target: Path, precision: str, photos: Sequence[Path], styles: Sequence[Path]
+) -> None:
+    from styl3r_export.quantise.calibration import Sample
+    from styl3r_export.quantise.folders import convert_folder
+
+    views = load_photos(list(photos))
+    pictures = [load_style(path).image for path in styles]
+    # What it loses is measured anyway, so that a broken one can be shown.
+    samples = [Sample(photos[0].parent.name, views, pictures)]
+    convert_folder(source, target, precision, samples, verify=False)
+
+
+def held_out_poses(
+    model: str,
+    photos: Sequence[Path],
+    held_out: Sequence[Path],
+    size: int,
+    fov: float | None,
+    threads: int | None,
+) -> dict[str, Any]:
+    """Where the held-out photos were taken, by the model as given, which sees all photos for it.
+
+    The pictures that are compared with them come from the other photos alone.
+
+    Returns:
+        World-to-camera matrices of the views and of the held-out photos, in one world.
+    """
+    everything = load_photos([*photos, *held_out], (size, size), fov)
+    scene = Stylizer(model, "cpu", threads).encode(everything)
+    found = recover(scene.means, scene.opacities, scene.intrinsics, everything.focals_measured)
+    poses = [camera.extrinsics.tolist() for camera in found.cameras]
+    return {"views": poses[: len(photos)], "poses": poses[len(photos) :]}

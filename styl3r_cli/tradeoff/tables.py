@@ -1,0 +1,75 @@
+"""The rows as text: a table for people, and plain values for CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import statistics
+from collections.abc import Sequence
+from typing import Any
+
+from styl3r_cli.tradeoff.points import Point
+from styl3r_cli.tradeoff.rows import MEGABYTE, Row
+
+
+def plain(row: Row, reference: Point) -> dict[str, Any]:
+    """A row as plain values, one level deep: a line of the CSV, an entry of the JSON."""
+    found: dict[str, Any] = row.point.to_dict()
+    found |= {"rejected": row.rejected(reference), "failed": row.failed}
+    if row.failed:
+        return found
+    found |= {f"seconds_{name}": round(took, 5) for name, took in row.seconds.items()}
+    found |= {"memory_bytes": row.memory, "scene_bytes": row.bytes, "gaussians": row.gaussians}
+    found |= {"model_bytes": row.model_bytes, "repeats": row.repeats}
+    for name, off in row.attributes.items():
+        found |= {f"{name}_largest_error": off.largest, f"{name}_relative_error": off.relative}
+    for kind in (False, True):
+        seen = [view for view in row.views if view.novel == kind]
+        label = "novel" if kind else "input"
+        if seen:
+            found[f"{label}_psnr_worst"] = min(view.psnr for view in seen)
+            found[f"{label}_psnr_median"] = statistics.median(view.psnr for view in seen)
+            found[f"{label}_ssim_median"] = statistics.median(view.ssim for view in seen)
+    if row.truth:
+        found["truth_psnr"] = statistics.median(value for value, _ in row.truth)
+        found["truth_ssim"] = statistics.median(value for _, value in row.truth)
+    return found
+
+
+def to_csv(rows: Sequence[Row]) -> str:
+    """All rows, with every column that any of them has."""
+    lines = [plain(row, rows[0].point) for row in rows]
+    columns = list(dict.fromkeys(name for line in lines for name in line))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return text.getvalue()
+
+
+def to_text(rows: Sequence[Row]) -> str:
+    """The table for standard output."""
+    head = (
+        f"{'precision':12}{'size':>5}{'views':>6}{'kept':>7}{'drawn':>10}{'cores':>6}"
+        f"{'structure':>11}{'appearance':>12}{'compact':>9}{'frame':>8}{'memory':>9}{'scene':>9}"
+        f"{'worst':>9}{'truth':>9}"
+    )
+    lines = [head]
+    for row in rows:
+        point = row.point
+        start = (
+            f"{point.precision:12}{point.size:5}{point.views:6}{point.budget:6g}%"
+            f"{point.drawing:>10}{point.threads:6}"
+        )
+        if row.failed:
+            lines.append(f"{start}  failed: {row.failed}")
+            continue
+        s = row.seconds
+        truth = f"{statistics.median(v for v, _ in row.truth):6.1f} dB" if row.truth else ""
+        mark = "  rejected" if row.rejected(rows[0].point) else ""
+        lines.append(
+            f"{start}{s['structure']:9.3f} s{s['appearance']:10.3f} s{s['compact']:7.2f} s"
+            f"{1e3 * s['frame']:5.0f} ms{row.memory / MEGABYTE:6.0f} MB"
+            f"{row.bytes / MEGABYTE:6.1f} MB{row.worst:6.1f} dB{truth:>9}{mark}"
+        )
+    return "\n".join(lines)
