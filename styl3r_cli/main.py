@@ -25,6 +25,7 @@ COMMANDS = {
     "convert": ("convert", "A scene from one file format into another."),
     "info": ("info", "What is in a scene file."),
     "bench": ("bench", "How fast this machine draws scenes."),
+    "tradeoff": ("tradeoff", "What speed costs in accuracy, measured on your photos."),
     "completion": ("completion", "What a shell needs to complete styl3r's commands and options."),
     "export": ("export", "A checkpoint becomes a model folder (needs the extra 'export')."),
 }
