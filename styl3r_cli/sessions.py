@@ -17,7 +17,7 @@ from styl3r_cli.errors import ModelError, UsageError
 from styl3r_cli.gaussians import FloatArray
 
 if TYPE_CHECKING:
-    from onnxruntime import InferenceSession, NodeArg
+    from onnxruntime import InferenceSession, NodeArg, SessionOptions
 
 DEVICES = ("auto", "cpu", "cuda")
 CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
@@ -79,7 +79,7 @@ class Graph:
         if not optimise:
             options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
         try:
-            graph = cls(path, ort.InferenceSession(path, options, providers=providers(device)))
+            graph = cls(path, _session(path, options, device))
         except UsageError:
             raise
         except Exception as error:  # onnxruntime's exceptions have no common base
@@ -147,6 +147,23 @@ class Graph:
                 options.terminate = True
                 raise
         return dict(zip(names, values, strict=True))
+
+
+def _session(path: Path, options: SessionOptions, device: str) -> InferenceSession:
+    """A session on the device; for "auto" on the CPU, if it cannot be had on anything else.
+
+    Onnxruntime's own second attempt, switched off here, is told on standard output, where results
+    may go.
+    """
+    from onnxruntime import InferenceSession
+
+    wanted = providers(device)
+    try:
+        return InferenceSession(path, options, providers=wanted, enable_fallback=0)
+    except Exception:
+        if device != "auto" or wanted == [CPU]:
+            raise
+    return InferenceSession(path, options, providers=[CPU], enable_fallback=0)
 
 
 def providers(device: str) -> list[str]:

@@ -55,8 +55,12 @@ class Placeholder:
         """Ignore an element that the pickle adds."""
 
 
-class InertUnpickler(pickle.Unpickler):
-    """Builds tensors, containers and plain values; every other class becomes a placeholder."""
+class InertUnpickler(pickle._Unpickler):
+    """Builds tensors, containers and plain values; every other class becomes a placeholder.
+
+    The pickle module's reader in Python: the one in C makes room for as many remembered objects as
+    a pickle claims to have, and a claim of five bytes takes gigabytes. These pickles are small.
+    """
 
     def __init__(self, archive: zipfile.ZipFile, root: str) -> None:
         super().__init__(archive.open(f"{root}data.pkl"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import struct
 import warnings
 import zlib
@@ -52,6 +53,8 @@ UPRIGHT = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
+# What Pillow logs about damaged files would come between the lines on a user's screen.
+logging.getLogger("PIL").addHandler(logging.NullHandler())
 DECODER_FAILURES = (
     OSError,
     ValueError,

@@ -67,6 +67,20 @@ def test_garbage_with_a_fitting_checksum_is_no_model(folder: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_damaged_graph_says_nothing_on_standard_output(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Results go there; onnxruntime's second attempts would tell of themselves between them."""
+    good = (folder / manifests.STRUCTURE).read_bytes()
+    assert b"AveragePool" in good
+    (folder / manifests.STRUCTURE).write_bytes(good.replace(b"AveragePool", b"Averag\xff\xfeool"))
+    write_manifest(folder)
+    for device in ("cpu", "auto"):
+        with pytest.raises(ModelError, match="cannot be loaded"):
+            Model.load(str(folder), device)
+    assert capsys.readouterr() == ("", "")
+
+
 def test_graphs_of_two_models_do_not_mix(folder: Path) -> None:
     other = parse_graph(APPEARANCE_GRAPH, **{manifests.PROP_WEIGHTS_ID: "another"})
     (folder / manifests.APPEARANCE).write_bytes(other.SerializeToString())

@@ -6,7 +6,9 @@ import builtins
 import os
 import pickle
 import sys
+import tracemalloc
 import types
+import zipfile
 from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +25,7 @@ from styl3r_export import checkpoints
 from styl3r_export.checkpoints import CheckpointError, load_any, load_own, load_published
 from styl3r_export.initialise import initialise_from_mast3r, initialise_from_noposplat
 from styl3r_export.model import FULL, Styl3r, build
-from styl3r_export.safe_pickle import read_checkpoint
+from styl3r_export.safe_pickle import InertUnpickler, read_checkpoint
 
 TINY = replace(
     FULL,
@@ -176,6 +178,21 @@ def test_builtins_are_not_called_either(tmp_path: Path, call: str) -> None:
     assert type(content["x"]).__bases__[0].__name__ == "Placeholder"
     assert torch.equal(content["y"], torch.ones(2))
     assert not target.exists()
+
+
+def test_a_claim_to_remember_much_takes_no_memory(tmp_path: Path) -> None:
+    """Five bytes that number an object 100 million: a table of as many took gigabytes."""
+    content = pickle.PROTO + b"\x02" + pickle.EMPTY_DICT
+    content += pickle.LONG_BINPUT + (10**8).to_bytes(4, "little") + pickle.STOP
+    with zipfile.ZipFile(tmp_path / "a.ckpt", "w") as archive:
+        archive.writestr("a/data.pkl", content)
+    with zipfile.ZipFile(tmp_path / "a.ckpt") as archive:
+        tracemalloc.start()
+        try:
+            assert InertUnpickler(archive, "a/").load() == {}
+            assert tracemalloc.get_traced_memory()[1] < 1e7
+        finally:
+            tracemalloc.stop()
 
 
 def test_a_state_dict_entry_that_is_an_object_is_refused(tiny: Styl3r, tmp_path: Path) -> None:
