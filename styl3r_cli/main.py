@@ -23,6 +23,7 @@ COMMANDS = {
     "render": ("render", "A scene becomes a video or a folder of frames."),
     "view": ("view", "A scene in the browser, to walk around in (needs the extra 'view')."),
     "convert": ("convert", "A scene from one file format into another."),
+    "compact": ("compact", "A scene with only as many Gaussians as it requires."),
     "info": ("info", "What is in a scene file."),
     "bench": ("bench", "How fast this machine draws scenes."),
     "tradeoff": ("tradeoff", "What speed costs in accuracy, measured on your photos."),

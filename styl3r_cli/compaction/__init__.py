@@ -1,0 +1,18 @@
+"""Only as many Gaussians as a scene requires: dropped, merged and measured, without training.
+
+Importing it loads numba, so commands import it when they use it.
+"""
+
+from styl3r_cli.compaction.compaction import DROPPED, Compaction
+from styl3r_cli.compaction.search import everything, keep_count, keep_decibels
+from styl3r_cli.compaction.witnesses import in_between, witnesses
+
+__all__ = [
+    "DROPPED",
+    "Compaction",
+    "everything",
+    "in_between",
+    "keep_count",
+    "keep_decibels",
+    "witnesses",
+]

@@ -1,0 +1,119 @@
+"""Compaction's promises, measured with the renderer itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from layered_scene import STRIPED_UP_TO, joined, views
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.compaction import DROPPED, in_between, keep_count, keep_decibels, witnesses
+from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.splatting import render
+
+
+def decibels(a: Gaussians, b: Gaussians, camera: Camera) -> float:
+    """PSNR over a black and a white background, by the renderer."""
+    squares = [
+        (render(a, camera, (v, v, v)).colour - render(b, camera, (v, v, v)).colour) ** 2
+        for v in (0.0, 1.0)
+    ]
+    return float(-10 * np.log10(np.mean(squares)))
+
+
+@pytest.mark.parametrize("target", [25.0, 30.0, 38.0, 45.0])
+def test_decibels_are_kept_at_every_camera(
+    scene: Gaussians, cameras: list[Camera], target: float
+) -> None:
+    made = keep_decibels(scene, cameras, target)
+    if target <= 30:  # more takes nearly all of so coarse a scene
+        assert len(made.gaussians) < 0.6 * len(scene)
+    assert made.worst >= target
+    for camera, told in zip(cameras, made.decibels, strict=True):
+        assert decibels(scene, made.gaussians, camera) == pytest.approx(told, abs=0.1)
+
+
+def test_fewer_decibels_take_fewer_gaussians(scene: Gaussians, cameras: list[Camera]) -> None:
+    counts = [len(keep_decibels(scene, cameras, db).gaussians) for db in (25, 30, 45)]
+    assert counts == sorted(counts)
+    assert 2 * counts[0] < counts[-1]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.3])
+def test_a_budget_is_kept_and_beats_a_random_choice(
+    scene: Gaussians, cameras: list[Camera], share: float
+) -> None:
+    count = int(share * len(scene))
+    made = keep_count(scene, cameras, count)
+    assert len(made.gaussians) == count
+    chosen = np.random.default_rng(0).choice(len(scene), count, replace=False)
+    for camera in in_between(views(), (0.25, 0.75)):
+        assert decibels(scene, made.gaussians, camera) > 3 + decibels(
+            scene, scene.select(chosen), camera
+        )
+
+
+def test_flat_regions_get_fewer_than_detail(scene: Gaussians, cameras: list[Camera]) -> None:
+    made = keep_count(scene, cameras, len(scene) // 8)
+    flat = np.count_nonzero(made.gaussians.means[:, 1] > STRIPED_UP_TO + 0.05)
+    striped = np.count_nonzero(made.gaussians.means[:, 1] < STRIPED_UP_TO - 0.05)
+    assert striped > flat  # on a third of its area
+
+
+def test_what_nobody_sees_goes_and_changes_nothing(scene: Gaussians, cameras: list[Camera]) -> None:
+    behind = Gaussians(
+        scene.means + np.float32([0, 0, 1]), scene.scales, scene.rotations,
+        scene.opacities, scene.colours,
+    )  # fmt: skip
+    faint = Gaussians(
+        scene.means - np.float32([0, 0, 1]), scene.scales, scene.rotations,
+        np.full(len(scene), 0.003), scene.colours,
+    )  # fmt: skip
+    broken = Gaussians(
+        np.full((3, 3), np.nan), np.ones((3, 3)), np.ones((3, 4)), np.ones(3), np.ones((3, 3))
+    )
+    whole = joined(faint, scene, behind, broken)
+    made = keep_count(whole, cameras, len(whole))
+    came = np.flatnonzero(made.labels != DROPPED)
+    # The middle of the hidden wall cannot be seen past the first; its rim can.
+    assert ((came >= len(scene)) & (came < 3 * len(scene))).all()
+    assert len(made.gaussians) < 1.2 * len(scene)
+    assert made.worst > 60
+
+
+def test_too_many_decibels_keep_everything(scene: Gaussians, cameras: list[Camera]) -> None:
+    made = keep_decibels(scene, cameras, 200.0)
+    assert len(made.gaussians) == len(scene)
+
+
+def test_other_colours_take_the_same_way(scene: Gaussians, cameras: list[Camera]) -> None:
+    made = keep_count(scene, cameras, len(scene) // 4)
+    other = scene.with_colours(1 - 0.8 * scene.colours[:, ::-1])
+    again = made.apply(other)
+    assert (again.gaussians.means == made.gaussians.means).all()
+    assert again.worst > made.worst - 3
+    for camera, told in zip(cameras, again.decibels, strict=True):
+        assert decibels(other, again.gaussians, camera) == pytest.approx(told, abs=0.1)
+    with pytest.raises(ValueError, match="Gaussians"):
+        made.apply(other.select(np.arange(10)))
+
+
+def test_the_same_scene_gives_the_same_gaussians(scene: Gaussians, cameras: list[Camera]) -> None:
+    one, two = (keep_count(scene, cameras, 500, threads) for threads in (1, 3))
+    for name in ("means", "scales", "rotations", "opacities", "colours"):
+        assert (getattr(one.gaussians, name) == getattr(two.gaussians, name)).all()
+
+
+def test_a_scene_without_cameras_is_seen_from_around(scene: Gaussians) -> None:
+    around = witnesses([], scene)
+    assert len(around) > 4
+    made = keep_count(scene, around, len(scene) // 3)
+    assert 0 < len(made.gaussians) <= len(scene) // 3
+
+
+def test_a_camera_that_sees_nothing_keeps_nothing_amiss(scene: Gaussians) -> None:
+    away = views()[0]
+    turned = np.diag([-1.0, 1, -1, 1])
+    blind = Camera(turned, away.fx, away.fy, away.cx, away.cy, away.width, away.height)
+    made = keep_decibels(scene, [blind], 45.0)
+    assert len(made.gaussians) <= len(scene)
