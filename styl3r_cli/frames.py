@@ -94,6 +94,21 @@ def depths(
     return look
 
 
+def coarse(look: Look, share: float) -> Look:
+    """A look of frames whose sides are that share of what they should be, then enlarged."""
+    if share == 1:
+        return look
+    from PIL import Image
+
+    def enlarge(camera: Camera, time: float) -> Picture:
+        size = camera.width, camera.height
+        small = camera.resized(*(max(round(side * share), 1) for side in size))
+        picture = Image.fromarray(look(small, time))
+        return np.asarray(picture.resize(size, Image.Resampling.BICUBIC))
+
+    return enlarge
+
+
 def side_by_side(left: Look, right: Look) -> Look:
     """Two pictures, one beside the other."""
     return lambda camera, time: np.concatenate([left(camera, time), right(camera, time)], axis=1)

@@ -22,6 +22,7 @@ from styl3r_cli.formats import Scene, read_scene
 from styl3r_cli.frames import (
     Drawing,
     Look,
+    coarse,
     colours,
     depths,
     draw,
@@ -31,6 +32,7 @@ from styl3r_cli.frames import (
 )
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.names import user_path
+from styl3r_cli.quality import SHARES
 
 SCENE_KEYS = ("generator", "model")  # of a scene's metadata, for the frames made of it
 
@@ -82,17 +84,18 @@ def _look(
     drawing: Drawing,
 ) -> Look:
     """What a picture shows: colour or depth, of one scene or of two."""
+    share = SHARES[request.quality]
 
     def of(scene: Gaussians) -> Look:
         if request.show == "depth":
-            return depths(scene, drawing, shots.cameras, request.colour_map)
-        return colours(scene, drawing)
+            return coarse(depths(scene, drawing, shots.cameras, request.colour_map), share)
+        return coarse(colours(scene, drawing), share)
 
     if other is not None:
         combine = {"side": side_by_side, "wipe": wipe}[request.layout]
         return combine(of(other.gaussians), of(gaussians))
     if request.show == "both":
-        depth = depths(gaussians, drawing, shots.cameras, request.colour_map)
+        depth = coarse(depths(gaussians, drawing, shots.cameras, request.colour_map), share)
         return side_by_side(colours(gaussians, drawing), depth)
     return of(gaussians)
 

@@ -15,6 +15,7 @@ from styl3r_cli.commands.options import (
     quiet_option,
     threads_option,
 )
+from styl3r_cli.quality import BEST, QUALITIES, help_of
 
 DEFAULT_PATH = "wobble"
 
@@ -174,6 +175,14 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     is_flag=True,
     help="Draw Gaussians smaller than a pixel as faint as they are: less shimmer far away. Scenes "
     "that were trained without it lose some fine detail.",
+)
+@click.option(
+    "--quality",
+    type=click.Choice(QUALITIES),
+    default=BEST,
+    show_default=True,
+    help="Draft and balanced draw smaller frames and enlarge them. A frame of the example scene, "
+    f"and how well its pictures agree with the best: {help_of('render')}.",
 )
 @threads_option
 @quiet_option

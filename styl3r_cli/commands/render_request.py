@@ -13,6 +13,7 @@ from styl3r_cli.frames import Colour
 from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.movies import PIPED
 from styl3r_cli.names import user_path
+from styl3r_cli.quality import BEST
 
 PICTURES = ("png", "jpg", "jpeg")
 LINEAR = "exr"
@@ -52,6 +53,7 @@ class RenderRequest:
     exr_parts: str
     antialias: bool
     threads: int | None
+    quality: str = BEST
 
     @property
     def kind(self) -> str:
@@ -137,6 +139,8 @@ def _check_kind(request: RenderRequest) -> None:
         raise UsageError(f"-o -: {kind} frames need files; through a pipe go {', '.join(PIPED)}")
     if kind == LINEAR and request.background is not None:
         raise UsageError("--background: EXR frames keep their alpha; put them on anything later")
+    if kind == LINEAR and request.quality != BEST:
+        raise UsageError(f"--quality {request.quality}: EXR frames are always the best")
     if kind == LINEAR and (request.compare or request.show != "colour"):
         raise UsageError("--compare and --show: EXR frames have colour and depth of one scene")
 

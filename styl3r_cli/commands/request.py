@@ -20,6 +20,7 @@ from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
 from styl3r_cli.photos.listing import parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE
 from styl3r_cli.pipeline import Stylizer
+from styl3r_cli.quality import BEST, network_size
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class SceneRequest:
     json: bool
     quiet: bool
     each: bool = False
+    quality: str = BEST
 
     @property
     def scene_path(self) -> Path | None:
@@ -86,13 +88,16 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
         loading = pool.submit(Stylizer, *settings, one_scene=True)
         with console.stage("photos"):
             styles = [load_style(style.path) for style in request.styles]
-            size = request.size[::-1] if request.size else DEFAULT_SIZE
+            size = (
+                request.size[::-1] if request.size else network_size(request.quality, DEFAULT_SIZE)
+            )
             photos = load(size)
         with console.stage("model"):
             stylizer = loading.result()
-    if request.size is None and stylizer.model.input_size != size:
+    wanted = network_size(request.quality, stylizer.model.input_size)
+    if request.size is None and wanted != size:
         with console.stage("photos"):
-            photos = load(stylizer.model.input_size)
+            photos = load(wanted)
     for note in [*photos.notes, *(note for style in styles for note in style.notes)]:
         console.note(note)
     return Inputs(stylizer, photos, styles)

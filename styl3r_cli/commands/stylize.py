@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from styl3r_cli.commands.options import StyleType, WeightedStyle, scene_options
+from styl3r_cli.quality import BEST, QUALITIES, help_of
 
 HELP = """\
 Make a stylized 3D scene from 2 to 8 photos of one place.
@@ -48,6 +49,15 @@ Existing results are replaced; a photo or a style is never overwritten.
     default=1.0,
     show_default=True,
     help="How much of the style: 0 keeps the scene's own colours.",
+)
+@click.option(
+    "--quality",
+    type=click.Choice(QUALITIES),
+    default=BEST,
+    show_default=True,
+    help="Draft and balanced read the photos at half and three quarters of the model's size "
+    "(--size says another). The example scene by the network, and how well its pictures agree "
+    f"with the best: {help_of('stylize')}.",
 )
 @scene_options
 def command(styles: tuple[WeightedStyle, ...], strength: float, **options: Any) -> None:

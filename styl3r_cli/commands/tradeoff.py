@@ -12,7 +12,7 @@ from styl3r_cli.commands.options import UserPath, quiet_option
 PRECISIONS = ("w8", "w4", "int8", "int8-static")
 SIZES = (256, 224, 192, 160, 128)
 BUDGETS = (100.0, 50.0, 25.0, 10.0, 5.0, 2.0)
-DRAWINGS = ("exact", "antialias", "half")
+DRAWINGS = ("exact", "antialias", "balanced", "draft")
 REPEATS = 3
 
 HELP = """\
@@ -83,7 +83,7 @@ gives no finite scene, is shown as rejected and never recommended.
     type=ListOf(click.Choice(DRAWINGS)),
     default=DRAWINGS,
     metavar="NAME,...",
-    help="exact, antialias (as `render` has it), half (half the size, enlarged).",
+    help="exact, antialias, balanced, draft: as `render --antialias` and `render --quality` draw.",
 )
 @click.option(
     "--threads",

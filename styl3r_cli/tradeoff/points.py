@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any
 
-# How a frame is drawn. "half": at half the size and enlarged; "antialias": see `render`.
-DRAWINGS = ("exact", "antialias", "half")
+# How a frame is drawn: see `render`, its --antialias and its --quality.
+DRAWINGS = ("exact", "antialias", "balanced", "draft")
+WHOLE = 100.0  # percent
 
 
 @dataclass(frozen=True)

@@ -183,6 +183,6 @@ def flags(point: Point, reference: Point) -> str:
         parts.append(f"{point.budget:g} % of the Gaussians (styl3r compact)")
     if point.drawing == "antialias":
         parts.append("render --antialias")
-    if point.drawing == "half":
-        parts.append("render --quality draft")
+    elif point.drawing != reference.drawing:
+        parts.append(f"render --quality {point.drawing}")
     return ", ".join(parts) or "the reference's own"

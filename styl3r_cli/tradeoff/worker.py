@@ -19,13 +19,14 @@ from styl3r_cli.cameras.recover import recover
 from styl3r_cli.errors import Styl3rError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.formats import encode_scene
-from styl3r_cli.frames import Picture, to_picture
+from styl3r_cli.frames import Drawing, Picture, coarse, colours
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.pipeline import Scene, Stylizer
+from styl3r_cli.quality import SHARES
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, between
+from styl3r_cli.tradeoff.points import WHOLE
 
-WHOLE = 100.0  # percent
 KILOBYTES = 1024  # Linux counts a process's memory in them, macOS in bytes
 
 
@@ -102,17 +103,9 @@ def compact_to(
 
 def frame(gaussians: Gaussians, camera: Camera, drawing: str, threads: int) -> Picture:
     """One picture, drawn as the point says."""
-    from styl3r_cli.splatting import render
-
-    if drawing != "half":
-        antialias = drawing == "antialias"
-        drawn = render(gaussians, camera, threads=threads, antialias=antialias)
-        return to_picture(drawn.colour)
-    from PIL import Image
-
-    small = camera.resized(max(camera.width // 2, 1), max(camera.height // 2, 1))
-    picture = Image.fromarray(to_picture(render(gaussians, small, threads=threads).colour))
-    return np.asarray(picture.resize((camera.width, camera.height), Image.Resampling.BICUBIC))
+    antialias = drawing == "antialias"
+    look = colours(gaussians, Drawing(threads=threads, antialias=antialias))
+    return coarse(look, SHARES.get(drawing, 1.0))(camera, 0.0)
 
 
 def _save(

@@ -23,7 +23,7 @@ Run = Callable[..., tuple[int, bytes, str]]
 REFERENCE = Point(GIVEN, 64, 3, 100.0, "exact", 1)
 FEW = (
     *("--precisions", "w8", "--sizes", "64,48", "--views", "3,2", "--budgets", "100"),
-    *("--drawings", "exact,half", "--repeats", 2),
+    *("--drawings", "exact,draft", "--repeats", 2),
 )
 
 
@@ -136,7 +136,7 @@ def test_a_report_is_whole_and_needs_nothing_else(
         ("w8", 64, 3, "exact"),
         (GIVEN, 48, 3, "exact"),
         (GIVEN, 64, 2, "exact"),
-        (GIVEN, 64, 3, "half"),
+        (GIVEN, 64, 3, "draft"),
     }
     assert [len(here), *{p["repeats"] for p in points.values()}] == [10, 2]
     reference, smaller = points[GIVEN, 64, 3, "exact"], points[GIVEN, 48, 3, "exact"]
@@ -144,7 +144,7 @@ def test_a_report_is_whole_and_needs_nothing_else(
     assert points["w8", 64, 3, "exact"]["input_psnr_worst"] == 100  # it has no large weight
     assert smaller["gaussians"] == 3 * 48 * 48 < reference["gaussians"] == 3 * 64 * 64
     assert 20 < smaller["input_psnr_worst"] < 60
-    assert points[GIVEN, 64, 3, "half"]["means_largest_error"] == 0
+    assert points[GIVEN, 64, 3, "draft"]["means_largest_error"] == 0
     assert reference["memory_bytes"] > 10e6
     with (target / "tradeoff.csv").open() as file:
         lines = list(csv.DictReader(file))

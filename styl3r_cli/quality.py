@@ -1,0 +1,44 @@
+"""`--quality`: how large the work is, and what that costs and gives by measured points."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+QUALITIES = ("draft", "balanced", "best")
+BEST = "best"
+# Side of what is computed, over what it would be: of the network's pictures in `stylize`, of the
+# frames in `render`, which are enlarged to their size. Costs go with the square of it.
+SHARES = {"draft": 0.5, "balanced": 0.75, BEST: 1.0}
+PATCH = 16  # sides of the network's pictures are multiples of it
+# Written by `python -m styl3r_cli.tradeoff.presets`, which says how: never by hand.
+MEASURED = Path(__file__).parent / "presets.json"
+
+
+def network_size(quality: str, size: tuple[int, int]) -> tuple[int, int]:
+    """(height, width) of the network's pictures, where `best` has `size`."""
+    height, width = (max(round(s * SHARES[quality] / PATCH) * PATCH, PATCH) for s in size)
+    return height, width
+
+
+def measured() -> dict[str, Any]:
+    """The measured points, with their command, machine and date; empty before any measurement."""
+    return json.loads(MEASURED.read_text(encoding="utf-8"))
+
+
+def help_of(command: str) -> str:
+    """A line for a command's --help: time and decibels of every quality."""
+    points = measured().get(command)
+    if points is None:
+        return "not measured yet"
+    told = (
+        f"{name} {_short(points[name]['seconds'])}"
+        + (f", {points[name]['decibels']} dB" if name != BEST else "")
+        for name in QUALITIES
+    )
+    return "; ".join(told)
+
+
+def _short(seconds: float) -> str:
+    return f"{seconds:.2f} s" if seconds >= 0.1 else f"{1e3 * seconds:.0f} ms"
