@@ -33,6 +33,8 @@ COMMANDS = {
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
 BROKEN_PIPE = 128 + 13  # how shells report a program that SIGPIPE ended
 TERMINATED = 128 + 15
+OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
+NO_ROOM = "failed to map segment"  # how loaders say that a library does not fit into memory
 HELP = """\
 2 to 8 photos of a place and one painting become a stylized 3D scene, on any CPU.
 
@@ -137,11 +139,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, click.Abort):
         return ExitCode.INTERRUPTED
     except MemoryError:
-        message = "out of memory; try a smaller --size, or fewer and smaller photos"
-        return _fail(message, ExitCode.INTERNAL)
+        return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
     except Exception as error:  # whatever it is, a user sees one line
         if os.environ.get(DEBUG) == "1":
             raise
+        if isinstance(error, ImportError) and NO_ROOM in str(error):
+            return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
             return _fail(f"{os.fsdecode(error.filename)}: {error.strerror}", ExitCode.INPUT)
         what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
