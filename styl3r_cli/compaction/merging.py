@@ -50,7 +50,9 @@ def merge(
     """
     count = len(cut.nodes)
     merged = Gaussians(
-        *(np.empty((count, width), np.float32) for width in (3, 3, 4)),
+        np.empty((count, 3), np.float32),
+        np.empty((count, 3), np.float32),
+        np.empty((count, 4), np.float32),
         np.empty(count, np.float32),
         np.empty((count, 3), np.float32),
     )

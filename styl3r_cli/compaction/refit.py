@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from styl3r_cli.compaction.tracing import Trace
 from styl3r_cli.gaussians import FloatArray
@@ -90,14 +91,14 @@ def refit(
         residual = each(
             lambda n: traces[n].gather(targets[n].missing(traces[n].picture, traces[n].through))
         )
-        best = _conjugate_gradients(normal, 1 / (shown + hold), residual, steps)
+        best = _conjugate_gradients(normal, np.float32(1) / (shown + hold), residual, steps)
     brightest = np.maximum(np.float32(1), colours.max(initial=0))
     return np.clip(colours + best, min(0, colours.min(initial=0)), brightest).astype(np.float32)
 
 
 def _conjugate_gradients(
     normal: Callable[[FloatArray], FloatArray],
-    preconditioner: FloatArray,
+    preconditioner: NDArray[np.floating],
     residual: FloatArray,
     steps: int,
 ) -> FloatArray:

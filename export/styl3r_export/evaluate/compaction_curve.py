@@ -1,0 +1,153 @@
+"""PSNR against the share of Gaussians kept: `styl3r compact` beside other ways to have fewer.
+
+    python -m styl3r_export.evaluate.compaction_curve scene.ply other.ply --shares 0.25 0.08
+
+Each scene (with its cameras, as `styl3r stylize` writes it) is reduced to the same numbers of
+Gaussians by every method, and drawn from its views, halfway between them (which compaction
+answers to), and a quarter before and after (which it never saw). Prints one CSV line each.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.stored import cameras_from_metadata
+from styl3r_cli.compaction import in_between, keep_count, witnesses
+from styl3r_cli.formats import read_scene, write_scene
+from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.splatting import render
+
+SHARES = (1.0, 0.5, 0.35, 0.25, 0.15, 0.08, 0.04, 0.02)
+BACKGROUNDS = (0.0, 1.0)
+NO_ERROR = 1e-12
+FINEST = 1e-6  # of the scene: 21 bits a side
+GRID_ATTEMPTS = 24
+SEED = 0
+
+Method = Callable[[Gaussians, list[Camera], int], Gaussians]
+
+
+def compacted(scene: Gaussians, cameras: list[Camera], count: int) -> Gaussians:
+    """What `styl3r compact --max-gaussians` keeps."""
+    return keep_count(scene, cameras, count).gaussians
+
+
+def random_choice(scene: Gaussians, _cameras: list[Camera], count: int) -> Gaussians:
+    """Any of them."""
+    chosen = np.random.default_rng(SEED).choice(len(scene), count, replace=False)
+    return scene.select(np.sort(chosen))
+
+
+def most_opaque(scene: Gaussians, _cameras: list[Camera], count: int) -> Gaussians:
+    """Those of the highest opacity; at random where that is the same, as `mini` gives it."""
+    ties = np.random.default_rng(SEED).random(len(scene))
+    order = np.lexsort((ties, -scene.opacities))
+    return scene.select(np.sort(order[:count]))
+
+
+def voxel_grid(scene: Gaussians, _cameras: list[Camera], count: int) -> Gaussians:
+    """One Gaussian a voxel: plain means, and moments along the axes; as many as fit `count`."""
+    extent = np.ptp(scene.means, axis=0).max()
+    low, high = FINEST * extent, extent
+    for _ in range(GRID_ATTEMPTS):
+        side = math.sqrt(low * high)
+        found = len(np.unique(_cells(scene.means, side)))
+        low, high = (side, high) if found > count else (low, side)
+    cells, labels = np.unique(_cells(scene.means, high), return_inverse=True)
+    sizes = np.bincount(labels, minlength=len(cells))[:, None]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        columns = [np.bincount(labels, column, len(cells)) for column in values.T]
+        return np.stack(columns, -1) / sizes
+
+    means = mean(scene.means)
+    spread = mean((scene.means - means[labels]) ** 2)
+    scales = np.sqrt(mean((scene.scales**2).mean(axis=1, keepdims=True)) + spread)
+    upright = np.tile([1.0, 0, 0, 0], (len(cells), 1))
+    opacities = mean(scene.opacities[:, None])[:, 0]
+    return Gaussians(means, scales, upright, opacities, mean(scene.colours))
+
+
+def _cells(means: np.ndarray, side: float) -> np.ndarray:
+    """(G,) one number for each voxel."""
+    places = np.floor((means - means.min(axis=0)) / side).astype(np.int64)
+    return (places[:, 0] << 42) + (places[:, 1] << 21) + places[:, 2]
+
+
+def splat_transform(program: str) -> Method:
+    """PlayCanvas's decimation (pairwise merging, after NanoGS, arXiv 2603.16103)."""
+
+    def decimate(scene: Gaussians, _cameras: list[Camera], count: int) -> Gaussians:
+        with tempfile.TemporaryDirectory() as folder:
+            source, target = Path(folder, "in.ply"), Path(folder, "out.ply")
+            write_scene(source, scene)
+            command = [program, "-q", str(source), "--decimate", str(count), str(target)]
+            subprocess.run(command, check=True, capture_output=True)
+            return read_scene(target).gaussians
+
+    return decimate
+
+
+def decibels(scene: Gaussians, other: Gaussians, cameras: Sequence[Camera]) -> list[float]:
+    """PSNR of each camera's frame, clipped as files are, over both backgrounds."""
+    found = []
+    for camera in cameras:
+        squares = []
+        for value in BACKGROUNDS:
+            frames = [
+                np.clip(render(each, camera, (value,) * 3).colour, 0, 1) for each in (scene, other)
+            ]
+            squares.append(np.mean((frames[0] - frames[1]) ** 2))
+        found.append(-10 * math.log10(max(float(np.mean(squares)), NO_ERROR)))
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the curve of every scene and method as CSV."""
+    parser = argparse.ArgumentParser(description="PSNR against the share of Gaussians kept")
+    parser.add_argument("scenes", nargs="+", type=Path)
+    parser.add_argument("--shares", nargs="+", type=float, default=SHARES)
+    parser.add_argument("--splat-transform", metavar="PROGRAM", help="also its --decimate")
+    options = parser.parse_args(arguments)
+    methods: dict[str, Method] = {
+        "compact": compacted,
+        "random": random_choice,
+        "opacity": most_opaque,
+        "voxels": voxel_grid,
+    }
+    if options.splat_transform:
+        methods["splat-transform"] = splat_transform(options.splat_transform)
+    print("scene,method,share,kept,db_witnesses,db_worst,db_unseen,seconds,cpu_seconds")
+    for path in options.scenes:
+        _curve(path, methods, options.shares)
+
+
+def _curve(path: Path, methods: dict[str, Method], shares: Sequence[float]) -> None:
+    stored = read_scene(path)
+    scene, views = stored.gaussians, cameras_from_metadata(stored.metadata)
+    if len(views) < 2:
+        sys.exit(f"{path}: it has {len(views)} cameras; the curve needs at least two")
+    cameras, unseen = witnesses(views, scene), in_between(views, (0.25, 0.75))
+    for share in shares:
+        for name, reduce in methods.items():
+            start, worked = time.perf_counter(), time.process_time()
+            kept = reduce(scene, cameras, max(1, round(share * len(scene))))
+            worked, took = time.process_time() - worked, time.perf_counter() - start
+            seen, other = decibels(scene, kept, cameras), decibels(scene, kept, unseen)
+            values = (np.mean(seen), min(seen), np.mean(other), took, worked)
+            numbers = ",".join(f"{value:.2f}" for value in values)
+            print(f"{path.stem},{name},{share:g},{len(kept)},{numbers}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
