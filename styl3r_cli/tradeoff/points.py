@@ -45,7 +45,7 @@ class Point:
         return asdict(self)
 
 
-GIVEN = "as given"
+GIVEN = "given"
 
 
 @dataclass(frozen=True)
