@@ -91,8 +91,8 @@ def splat_transform(program: str) -> Method:
         with tempfile.TemporaryDirectory() as folder:
             source, target = Path(folder, "in.ply"), Path(folder, "out.ply")
             write_scene(source, scene)
-            command = [program, "-q", str(source), "--decimate", str(count), str(target)]
-            subprocess.run(command, check=True, capture_output=True)
+            command = [program, "-q", "--gpu", "cpu", str(source), "--decimate", str(count)]
+            subprocess.run([*command, str(target)], check=True, capture_output=True)
             return read_scene(target).gaussians
 
     return decimate
