@@ -27,8 +27,9 @@ MAX_TURN, MAX_STEP = 0.25, 0.3
 NEAREST, FARTHEST = 12.0, 0.01
 # A projected point must stay in front of the camera by this (homogeneous) depth.
 FRONT = 0.1
-# Keeps a square root's slope finite at zero.
-TINY = 1e-8
+# Errors below this length (ray units) are not told apart: keeps a square root's slope finite at
+# zero. Its square as a summand would be too small: graph optimisers take 1e-8 for nothing.
+SHORT = 1e-4
 
 
 class Sides(NamedTuple):
@@ -155,7 +156,7 @@ def fit(motion: Motion, sides: Sides, rho: Tensor) -> Fit:
     z = y[..., 2:].clamp_min(FRONT)
     seen, shift = y[..., :2] / z, both.translation[:, None]
     by_depth = (shift[..., :2] - seen * shift[..., 2:]) / z
-    error = ((seen - sides.matched).square().sum(dim=-1) + TINY).sqrt()
+    error = SHORT * (((seen - sides.matched) / SHORT).square().sum(dim=-1) + 1).sqrt()
     return Fit(error, sides.weight * by_depth.square().sum(dim=-1))
 
 
