@@ -66,7 +66,9 @@ def test_logs_as_json(tiny_model: Path, photos: list[Path], style: Path, tmp_pat
     (note,) = [event for event in events if event["event"] == "note"]
     assert "no focal length" in str(note["message"])
     stages = [event["stage"] for event in events if event["event"] == "stage"]
-    assert stages[-4:] == ["structure", "appearance", "cameras", "write"]
+    # Cameras are found while the appearance graph runs: either may end first.
+    assert stages[-1] == "write"
+    assert sorted(stages[-4:-1]) == ["appearance", "cameras", "structure"]
     quiet = styl3r("stylize", *photos, *arguments, "--log", "json", "--quiet")
     assert (quiet.returncode, quiet.stderr) == (0, b"")
 

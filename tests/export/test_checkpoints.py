@@ -426,5 +426,5 @@ def test_mini_takes_what_fits_and_keeps_the_rest(tmp_path: Path) -> None:
     mini, donor = build("mini"), build(TINY)
     entries = donor.backbone.state_dict() | {"enc_norm.weight": torch.full((192,), 3.0)}
     report = initialise_from_mast3r(mini, saved(tmp_path / "a.pth", {"model": entries}))
-    assert report.loaded == ["backbone.enc_norm.weight", "token_stylizer.enc_norm.weight"]
+    assert report.loaded == ["backbone.enc_norm.weight"]
     assert bool((mini.get_parameter("backbone.enc_norm.weight") == 3).all())
