@@ -120,7 +120,7 @@ def test_the_picture_is_gsplats(monkeypatch, scene, width, height, focal, shift,
     camera = Camera(view, focal, 1.05 * focal, 0.45 * width, 0.52 * height, width, height)
     expected, alpha = gsplat_picture(scene, camera, antialias)
     frame = render(scene, camera, None, antialias=antialias)
-    assert frame.alpha.mean() > 0.5
+    assert frame.alpha.mean() > 0.2  # the scene is in the picture
     error = np.mean((frame.colour - expected) ** 2)
     decibels = -10 * np.log10(error)
     print(f"{width}x{height} antialias={antialias}: {decibels:.1f} dB")
