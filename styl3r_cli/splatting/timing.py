@@ -192,17 +192,9 @@ def _draw_fast(scene: Gaussians, camera: Camera, threads: int) -> None:
 
 
 def _draw_twin(scene: Gaussians, camera: Camera, threads: int) -> None:
-    import torch
+    from styl3r_export.splatting.twin import draw
 
-    from styl3r_export.splatting.reference import splat
-
-    torch.set_num_threads(threads)
-    view, lens = (torch.from_numpy(each).float() for each in (camera.extrinsics, camera.intrinsics))
-    arrays = (scene.means, scene.scales, scene.rotations, scene.opacities, scene.colours)
-    means, scales, rotations, opacities, colours = map(torch.from_numpy, arrays)
-    size = (camera.height, camera.width)
-    with torch.no_grad():
-        splat(means, scales, rotations, opacities, colours, view, lens, size)
+    draw(scene, camera, threads)
 
 
 def _time(draw: Draw, case: Case) -> Case:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from queue import Queue
-from threading import Thread
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-
-T = TypeVar("T")
 
 # Fields of a shard, one .npy each, the scene first.
 FIELDS = ("images", "depth", "extrinsics", "intrinsics")
@@ -114,16 +110,3 @@ def batches(
         batch = Batch(images.float() / 255, depth, extrinsics, intrinsics.float())
         batch = batch._replace(images=recolour(batch.images, rng))
         yield mirror(batch) if rng.random() < 0.5 else batch
-
-
-def prefetch(items: Iterator[T], depth: int = 2) -> Iterator[T]:
-    """The same items, made ahead by a thread while the current one is trained on."""
-    queue: Queue[T] = Queue(maxsize=depth)
-
-    def fill() -> None:
-        for item in items:
-            queue.put(item)
-
-    Thread(target=fill, daemon=True).start()
-    while True:
-        yield queue.get()
