@@ -38,11 +38,9 @@ U, V, A, B, C, LOG_OPACITY, Z, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 8
 
 VISIBLE, OUTSIDE, INVALID = 0, 1, 2
 
-# Blending keeps depths in float32; nothing that is farther could be told apart.
-FARTHEST = float(np.finfo(np.float32).max)
-
-# Largest number of means that the scene's size is measured on (the median needs no more).
-SIZE_SAMPLES = 8192
+# Blending keeps depths in float32. Half of what that can hold: a weighted mean of depths rounds,
+# and must not round to infinity.
+FARTHEST = float(np.finfo(np.float32).max) / 2
 
 
 @dataclass(frozen=True)
@@ -67,14 +65,25 @@ def near_plane(means: FloatArray) -> float:
     """The nearest view z that is drawn, for a scene of these (G, 3) means.
 
     A fraction of the median distance from the scene's median point: the same for every camera
-    (so that nothing pops along a path), in any unit, and wherever the scene lies.
+    (so that nothing pops along a path), for any order of the Gaussians, in any unit, and wherever
+    the scene lies.
     """
-    sample = means[:: max(1, len(means) // SIZE_SAMPLES)].astype(np.float64)
-    sample = sample[np.isfinite(sample).all(axis=1)]
-    if len(sample) == 0:
+    finite = np.isfinite(means).all(axis=1)
+    axes = (means if finite.all() else means[finite]).T
+    if axes.shape[1] == 0:
         return 0.0
-    distances = np.linalg.norm(sample - np.median(sample, axis=0), axis=1)
-    return NEAR_FRACTION * float(np.median(distances))
+    squares = np.zeros(axes.shape[1])
+    for axis in axes:
+        squares += (axis - _median(axis)) ** 2
+    return NEAR_FRACTION * math.sqrt(_median(squares))
+
+
+def _median(values: NDArray[np.floating]) -> np.float64:
+    """The mean of the two middle values: np.median in a fifth of the time."""
+    middle = len(values) // 2
+    parted = np.partition(values, middle)
+    upper = np.float64(parted[middle])
+    return upper if len(values) % 2 else (upper + np.float64(parted[:middle].max())) / 2
 
 
 def project(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,12 +64,14 @@ def render(
         tile: side of the squares that the work is cut into, pixels; a multiple of 8.
 
     Raises:
-        ValueError: if the camera is not finite or has no focal length or pixels, or the tiles have
-            another size.
+        ValueError: if the camera is not finite or has no focal length or pixels, the near plane is
+            not a number, or the tiles have another size.
     """
     if tile < LANES or tile % LANES:
         raise ValueError(f"tiles of {tile} pixels: not a multiple of {LANES}")
     near = near_plane(gaussians.means) if near is None else near
+    if math.isnan(near):
+        raise ValueError("the near plane is not a number")
     splats = project(gaussians, camera, near, threads, antialias)
     planes = accumulate(splats, gaussians.colours, camera, threads, tile)
     transmittance = planes[TRANSMITTANCE]
