@@ -24,6 +24,10 @@ class Styl3rError(Exception):
     exit_code = ExitCode.INTERNAL
 
 
+class OutOfMemoryError(Styl3rError):
+    """There is not enough memory for what was asked."""
+
+
 class UsageError(Styl3rError):
     """The command line asks for something that does not make sense."""
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from styl3r_cli import manifest as manifests
+from styl3r_cli import memory
 from styl3r_cli.errors import ModelError
 from styl3r_cli.manifest import Manifest
 from styl3r_cli.names import user_path
@@ -46,6 +47,8 @@ class Model:
         appearance: content tokens and styles to colours.
         style_range: lowest and highest value of a painting, as the style encoder reads it.
         content_range: the same for a content photo standing in for a painting.
+        paints_pictures: whether its colours are what the views should look like, made without
+            regard to how Gaussians blur; else they were trained through a renderer.
         input_size: (height, width) that it was trained at.
         device: "cpu" or "cuda", where it runs.
     """
@@ -56,6 +59,7 @@ class Model:
     appearance: Graph
     style_range: tuple[float, float]
     content_range: tuple[float, float]
+    paints_pictures: bool
     input_size: tuple[int, int]
     device: str
 
@@ -77,8 +81,10 @@ class Model:
 
         Raises:
             ModelError: a file is missing, damaged, or not such a graph.
+            OutOfMemoryError: this process may not use as much memory as it takes.
             UsageError: the device or the name does not exist here.
         """
+        memory.check_limit(memory.LEAST_FOR_NETWORK)
         folder = find(model)
         manifest = manifests.read_manifest(folder)
 
@@ -100,6 +106,7 @@ class Model:
             appearance=appearance,
             style_range=_pair(appearance, manifests.PROP_PAINTING_RANGE, (0.0, 1.0)),
             content_range=_pair(appearance, manifests.PROP_PHOTO_RANGE, (-1.0, 1.0)),
+            paints_pictures=appearance.metadata.get(manifests.PROP_PICTURES) == "true",
             input_size=(int(height), int(width)),
             device=structure.device,
         )

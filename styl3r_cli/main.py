@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import click
 
-from styl3r_cli import __version__, console
+from styl3r_cli import __version__, console, memory
 from styl3r_cli.errors import ExitCode, Styl3rError
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
@@ -34,7 +34,6 @@ DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
 BROKEN_PIPE = 128 + 13  # how shells report a program that SIGPIPE ended
 TERMINATED = 128 + 15
 OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
-NO_ROOM = "failed to map segment"  # how loaders say that a library does not fit into memory
 HELP = """\
 2 to 8 photos of a place and one painting become a stylized 3D scene, on any CPU.
 
@@ -138,12 +137,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _fail(_usage_message(error), ExitCode.USAGE)
     except (KeyboardInterrupt, click.Abort):
         return ExitCode.INTERRUPTED
-    except MemoryError:
-        return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
     except Exception as error:  # whatever it is, a user sees one line
         if os.environ.get(DEBUG) == "1":
             raise
-        if isinstance(error, ImportError) and NO_ROOM in str(error):
+        if memory.ended(error):
             return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
             return _fail(f"{os.fsdecode(error.filename)}: {error.strerror}", ExitCode.INPUT)

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from styl3r_cli.errors import ModelError, UsageError
+from styl3r_cli import memory
+from styl3r_cli.errors import ModelError, OutOfMemoryError, Styl3rError, UsageError
 from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.onnx_library import onnxruntime
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession, NodeArg, SessionOptions
@@ -66,10 +68,10 @@ class Graph:
 
         Raises:
             ModelError: onnxruntime cannot load it (weights outside its folder, among others).
+            OutOfMemoryError: there is too little memory for it.
             UsageError: the device does not exist here.
         """
-        import onnxruntime as ort
-
+        ort = onnxruntime()
         ort.set_default_logger_severity(SILENT)
         options = ort.SessionOptions()
         options.log_severity_level = SILENT
@@ -83,7 +85,7 @@ class Graph:
         except UsageError:
             raise
         except Exception as error:  # onnxruntime's exceptions have no common base
-            raise ModelError(f"{path}: cannot be loaded: {_first_line(error)}") from error
+            raise _failure(path, "cannot be loaded", error) from error
         if device == "cuda" and graph.device != "cuda":
             raise UsageError("--device cuda: onnxruntime found no working GPU, driver or library")
         return graph
@@ -126,10 +128,9 @@ class Graph:
 
         Raises:
             ModelError: onnxruntime refused or failed.
+            OutOfMemoryError: there is too little memory for this size.
         """
-        from onnxruntime import RunOptions
-
-        options = RunOptions()
+        options = onnxruntime().RunOptions()
         options.add_run_config_entry(*SHRINK)
         names = list(self._outputs)
         declared = {
@@ -142,7 +143,7 @@ class Graph:
             try:
                 values = running.result()
             except Exception as error:
-                raise ModelError(f"{self.path}: the graph failed: {_first_line(error)}") from error
+                raise _failure(self.path, "the graph failed", error) from error
             except BaseException:
                 options.terminate = True
                 raise
@@ -155,15 +156,16 @@ def _session(path: Path, options: SessionOptions, device: str) -> InferenceSessi
     Onnxruntime's own second attempt, switched off here, is told on standard output, where results
     may go.
     """
-    from onnxruntime import InferenceSession
-
+    opened: InferenceSession
+    open_session = onnxruntime().InferenceSession
     wanted = providers(device)
     try:
-        return InferenceSession(path, options, providers=wanted, enable_fallback=0)
+        opened = open_session(path, options, providers=wanted, enable_fallback=0)
     except Exception:
         if device != "auto" or wanted == [CPU]:
             raise
-    return InferenceSession(path, options, providers=[CPU], enable_fallback=0)
+        opened = open_session(path, options, providers=[CPU], enable_fallback=0)
+    return opened
 
 
 def providers(device: str) -> list[str]:
@@ -172,9 +174,7 @@ def providers(device: str) -> list[str]:
         raise UsageError(f"--device {device}: one of {', '.join(DEVICES)}")
     if device == "cpu":
         return [CPU]
-    import onnxruntime as ort
-
-    if CUDA in ort.get_available_providers():
+    if CUDA in onnxruntime().get_available_providers():
         _find_cuda()
         return [CUDA, CPU]
     if device == "cuda":
@@ -191,10 +191,8 @@ def _find_cuda() -> None:
     What it prints about missing ones would mix with results on standard output; the session says
     whether it works. Graphs load in threads, and only one at a time may swap standard output.
     """
-    import onnxruntime as ort
-
     with _finding_cuda, redirect_stdout(io.StringIO()):
-        ort.preload_dlls()
+        onnxruntime().preload_dlls()
 
 
 def available_cores() -> int:
@@ -202,6 +200,14 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _failure(path: Path, what: str, error: Exception) -> Styl3rError:
+    """What onnxruntime's exception means to the user."""
+    message = f"{path}: {what}: {_first_line(error)}"
+    if memory.ended(error):
+        return OutOfMemoryError(f"out of memory; try a smaller --size or fewer photos ({message})")
+    return ModelError(message)
 
 
 def _first_line(error: Exception) -> str:

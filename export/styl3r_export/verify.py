@@ -6,18 +6,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import onnxruntime
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from styl3r_cli.manifest import APPEARANCE, STRUCTURE
+from styl3r_cli.onnx_library import onnxruntime
 from styl3r_export.model.config import PATCH
 from styl3r_export.model.network import Styl3r
 from styl3r_export.precision import rounded, stored_in_half
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 
@@ -145,12 +149,16 @@ def compare(
     return sorted(rows, key=lambda row: cases.index(row.case))
 
 
-def open_session(path: Path) -> onnxruntime.InferenceSession:
+def open_session(path: Path) -> InferenceSession:
     """A graph on the CPU, without a memory arena that would outlive a run's peak."""
-    options = onnxruntime.SessionOptions()
+    ort = onnxruntime()
+    options = ort.SessionOptions()
     options.enable_cpu_mem_arena = False
     options.log_severity_level = 3  # errors
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    session: InferenceSession = ort.InferenceSession(
+        path, options, providers=["CPUExecutionProvider"]
+    )
+    return session
 
 
 def measure(

@@ -28,6 +28,7 @@ from PIL import (  # the plugins register their formats on import
     WebPImagePlugin,  # noqa: F401
 )
 
+from styl3r_cli import memory
 from styl3r_cli.errors import InputError
 from styl3r_cli.photos.focal import read_equivalent_focal
 
@@ -148,6 +149,8 @@ def _refuse_by_content(path: Path, data: bytes) -> None:
         try:
             from pillow_heif import register_heif_opener
         except ImportError as error:
+            if memory.ended(error):
+                raise MemoryError from error
             raise InputError(
                 f"{path}: HEIC needs an extra: pip install 'styl3r[heic]' (or export it as JPEG)"
             ) from error

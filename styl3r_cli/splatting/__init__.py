@@ -3,6 +3,10 @@
 Importing it loads numba (a third of a second), so commands import it when they draw.
 """
 
-from styl3r_cli.splatting.renderer import Frame, render
+from styl3r_cli import memory
+
+memory.check_limit(memory.LEAST_TO_DRAW)  # under less, numba is imported in part, or never ends
+
+from styl3r_cli.splatting.renderer import Frame, render  # noqa: E402
 
 __all__ = ["Frame", "render"]

@@ -179,17 +179,6 @@ def test_text_in_scenes_does_not_reach_the_terminal(
         assert main.run(["convert", str(tmp_path / "a.ply"), str(tmp_path / f"b{suffix}")]) == 0
 
 
-def test_libraries_that_do_not_fit_into_memory_are_no_bug(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(**_: object) -> None:
-        raise ImportError("libx.so: failed to map segment from shared object")
-
-    monkeypatch.setattr(main.group, "main", fail)
-    assert main.run([]) == 1
-    assert capsys.readouterr().err.startswith("styl3r: error: out of memory; ")
-
-
 def test_a_hundred_megapixels_in_a_few_kilobytes(run: Run, photos: list[Path]) -> None:
     """A decompression bomb is left out before it takes memory; other photos go on."""
     bomb = photos[0].with_name("bomb.png")

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from styl3r_cli.errors import InputError
+from styl3r_cli.onnx_library import onnxruntime
 from styl3r_export.curriculum.perceptual import SlimVgg
 from styl3r_export.evaluate.lpips import Lpips
 from styl3r_export.evaluate.raft import Raft
@@ -100,12 +101,11 @@ class Magenta:
 
 
 def _session(graph: Path, threads: int) -> Any:
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
+    ort = onnxruntime()
+    options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3  # errors only
-    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    return ort.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
 
 def planes(picture: Picture) -> NDArray[np.float32]:

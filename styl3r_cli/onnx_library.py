@@ -1,0 +1,40 @@
+"""onnxruntime, imported whole or not at all."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from threading import Lock
+from types import ModuleType
+
+from styl3r_cli import memory
+from styl3r_cli.errors import ModelError, OutOfMemoryError
+
+# Of what the package uses, names from each part of onnxruntime that can fail to load by itself.
+NEEDED = ("InferenceSession", "RunOptions", "SessionOptions", "set_default_logger_severity")
+DAMAGED = "onnxruntime is damaged ({}); reinstall it: pip install --force-reinstall onnxruntime"
+
+_importing = Lock()
+
+
+def onnxruntime() -> ModuleType:
+    """The module, complete.
+
+    The two graphs of a model load in two threads. Where Python imports a module in both at once
+    and that fails in one, the other is given what there was of it; hence one after the other.
+
+    Raises:
+        OutOfMemoryError: it does not fit into memory.
+        ModelError: it is missing or damaged.
+    """
+    with _importing:
+        try:
+            module = import_module("onnxruntime")
+        except Exception as error:  # loaders, and the module's own checks, raise what they like
+            if memory.ended(error):
+                raise OutOfMemoryError("out of memory: onnxruntime does not fit into it") from error
+            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+            raise ModelError(DAMAGED.format(reason)) from error
+    missing = [name for name in NEEDED if not hasattr(module, name)]
+    if missing:
+        raise ModelError(DAMAGED.format(f"it has no {missing[0]}"))
+    return module
