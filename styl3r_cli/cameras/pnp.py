@@ -22,6 +22,7 @@ LEAST_AGREEMENT = 0.1  # a pose that a smaller share of the points supports is n
 GOOD_AGREEMENT = 0.3  # below, the wide threshold is tried
 REFINEMENTS = 3  # rounds of Levenberg-Marquardt on the inliers, which then are found anew
 FLAT = 1e-4  # points on a line, or in one place, to this relative extent have no pose
+FAR = 10.0  # times the median distance: points beyond count as if they were there
 SEED = 0  # of the subsampling
 
 
@@ -45,9 +46,14 @@ def find_pose(
     pixels = pixel_centres(camera.height, camera.width).reshape(-1, 2)[chosen]
     # Around their own centre and at their own size, so that the solver meets no extreme numbers.
     centre = np.median(world, axis=0)
-    size = float(np.median(np.linalg.norm(world - centre, axis=1)))
-    extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
-    if not size > 0 or extents[1] < FLAT * extents[0]:
+    distances = np.linalg.norm(world - centre, axis=1)
+    size = float(np.median(distances))
+    if not size > 0:
+        return None
+    # Far points count no more than others, or a single one would make all the rest look flat.
+    shrunk = (world - centre) / np.maximum(distances, FAR * size)[:, None]
+    extents = np.linalg.svd(shrunk, compute_uv=False)
+    if extents[1] < FLAT * extents[0]:
         return None
     best, agreement = None, LEAST_AGREEMENT
     for fraction in (INLIER_FRACTION, WIDE_FRACTION):

@@ -14,6 +14,9 @@ from styl3r_cli.cameras.pointmap import estimate_focal, inlier_ratio
 
 # Guessing 28 mm for a lens between 24 and 35 mm is off by less; more deserves a note.
 FOCAL_DISAGREEMENT = 0.25
+# A pose found with the wide threshold may have that few points within 1 % of the frame: then it
+# can be a wrong one that bends towards them, and a user should look.
+DOUBTFUL = 0.1
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,11 @@ def recover(
             )
         cameras.append(replace(camera, extrinsics=pose))
     ratios = [inlier_ratio(*view) for view in zip(means, opacities, cameras, strict=True)]
+    notes += [
+        f"view {view + 1}: only {ratio:.0%} of its points fit its camera, which may be wrong"
+        for view, ratio in enumerate(ratios)
+        if view > 0 and recovered[view] and ratio < DOUBTFUL
+    ]
     told = given[0].fx if intrinsics is not None else None
     return Recovered(cameras, ratios, recovered, focal, told, notes)
 
