@@ -234,7 +234,7 @@ def test_every_poison_in_the_camera_is_drawn_or_refused(slot: str | int) -> None
             changed = replace(camera, extrinsics=pose)
         refused = not np.isfinite(value) if slot != "near" else np.isnan(value)
         if refused or (slot in ("fx", "fy") and value <= 0):
-            with pytest.raises(ValueError, match="camera|near plane"):
+            with pytest.raises(ValueError, match=r"camera|near plane"):
                 render(scene, changed, BACKGROUND, near=near)
         else:
             with np.errstate(all="raise"):
