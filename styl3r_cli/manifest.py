@@ -31,6 +31,7 @@ PROP_TOOLS = "styl3r.tools"  # JSON: versions of the programs that wrote the gra
 PROP_VERSION = "styl3r.version"  # of this project, when it wrote the graph
 PROP_PAINTING_RANGE = "styl3r.painting_range"  # JSON [low, high]: a style picture's values
 PROP_PHOTO_RANGE = "styl3r.photo_as_style_range"  # JSON [low, high]: a content photo's, as style
+PROP_PICTURES = "styl3r.paints_pictures"  # JSON: whether colours are what the views should show
 PROP_INPUT_SIZE = "styl3r.input_size"  # JSON [height, width] that the model was trained at
 
 _BLOCK = 1 << 22  # bytes hashed at a time

@@ -8,9 +8,13 @@ from typing import Any
 
 QUALITIES = ("draft", "balanced", "best")
 BEST = "best"
-# Side of what is computed, over what it would be: of the network's pictures in `stylize`, of the
-# frames in `render`, which are enlarged to their size. Costs go with the square of it.
+# Side of what is drawn in `render`, over that of the frames that it is enlarged to. Costs go with
+# the square of it.
 SHARES = {"draft": 0.5, "balanced": 0.75, BEST: 1.0}
+# Side of the network's pictures in `stylize`, over that which it was trained at.
+NETWORK_SHARES = {"draft": 0.5, "balanced": 1.0, BEST: 1.0}
+# Whether colours are fitted to the views (see `painter`): the dearest step after the network.
+FITTED = {"draft": False, "balanced": False, BEST: True}
 PATCH = 16  # sides of the network's pictures are multiples of it
 # Written by `python -m styl3r_cli.tradeoff.presets`, which says how: never by hand.
 MEASURED = Path(__file__).parent / "presets.json"
@@ -18,7 +22,7 @@ MEASURED = Path(__file__).parent / "presets.json"
 
 def network_size(quality: str, size: tuple[int, int]) -> tuple[int, int]:
     """(height, width) of the network's pictures, where `best` has `size`."""
-    height, width = (max(round(s * SHARES[quality] / PATCH) * PATCH, PATCH) for s in size)
+    height, width = (max(round(s * NETWORK_SHARES[quality] / PATCH) * PATCH, PATCH) for s in size)
     return height, width
 
 

@@ -78,6 +78,7 @@ def describe(
             manifest.PROP_VERSION: __version__,
             manifest.PROP_PAINTING_RANGE: json.dumps(PAINTING_RANGE),
             manifest.PROP_PHOTO_RANGE: json.dumps(PHOTO_AS_STYLE_RANGES[config.photo_as_style]),
+            manifest.PROP_PICTURES: json.dumps(config.colours == "strokes"),
             manifest.PROP_INPUT_SIZE: json.dumps(TRAINED_SIZE),
         }
     )

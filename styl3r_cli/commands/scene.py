@@ -19,8 +19,10 @@ from styl3r_cli.console import Console
 from styl3r_cli.files import write_stdout
 from styl3r_cli.formats import encode_scene, write_scene
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.painter import Painter
 from styl3r_cli.photos import Photos
 from styl3r_cli.pipeline import Scene
+from styl3r_cli.quality import FITTED
 
 # The path and the frame of `--video`; `styl3r render` has options for both.
 VIDEO_PATH = "wobble"
@@ -39,34 +41,37 @@ def make_scene(request: SceneRequest) -> None:
         scene = inputs.stylizer.encode(inputs.photos)
     with console.stage("cameras"):
         recovered = _recover(scene, inputs.photos, console)
+    fitted = FITTED[request.quality]
+    painter = Painter(inputs.stylizer, scene, recovered, request.threads, fitted)
     shared = rounded(console.timings | {"total": console.elapsed()})
     reports = []
     for index, one in enumerate(one_by_one(request)):
         styles = [inputs.styles[index]] if request.each else inputs.styles
-        reports.append(_make_one(one, replace(inputs, styles=styles), scene, recovered, console))
+        reports.append(_make_one(one, replace(inputs, styles=styles), painter, console))
     if request.json:
         together = {"shared_timings": shared, "scenes": reports}
         print_report(together if request.each else reports[0])
 
 
 def _make_one(
-    request: SceneRequest, inputs: Inputs, scene: Scene, recovered: Recovered, console: Console
+    request: SceneRequest, inputs: Inputs, painter: Painter, console: Console
 ) -> dict[str, Any]:
     """Colour the scene and write its results; returns the report."""
     earlier, start = dict(console.timings), console.elapsed()
     with console.stage("appearance"):
         pictures = [style.image for style in inputs.styles]
         weights = [style.weight for style in request.styles]
-        gaussians, repairs = inputs.stylizer.gaussians(scene, pictures, weights, request.strength)
+        gaussians, repairs = painter(pictures, weights, request.strength)
     if str(repairs):
         console.note(f"Gaussians repaired: {repairs}")
+    recovered = painter.recovered
     with console.stage("write"):
         _write(request, inputs, gaussians, recovered, console)
     if request.video:
         _film(request, gaussians, recovered, console)
     if request.preview:
         with console.stage("preview"):
-            _draw_sheet(request, inputs, scene, gaussians, recovered)
+            _draw_sheet(request, inputs, painter, gaussians)
     timings = console.timings | {"total": console.elapsed()}
     if request.each:  # what this style took, after what all of them share
         earlier["total"] = start
@@ -138,26 +143,22 @@ def _film(
 
 
 def _draw_sheet(
-    request: SceneRequest,
-    inputs: Inputs,
-    scene: Scene,
-    gaussians: Gaussians,
-    recovered: Recovered,
+    request: SceneRequest, inputs: Inputs, painter: Painter, gaussians: Gaussians
 ) -> None:
     """The contact sheet; a stylized scene is drawn in its own colours too, to compare."""
     from styl3r_cli.preview import Preview, write_preview
 
     own = gaussians
     if request.strength > 0:
-        own, _ = inputs.stylizer.gaussians(scene, strength=0)
+        own, _ = painter(strength=0)
     preview = Preview(
-        images=scene.images,
+        images=painter.scene.images,
         names=inputs.photos.names,
         styles=[style.image for style in inputs.styles],
         style_names=[style.name for style in inputs.styles],
         result=gaussians,
         own=own,
-        cameras=recovered.cameras,
+        cameras=painter.recovered.cameras,
     )
     title = f"styl3r {request.command}: {len(preview.names)} photos, {len(gaussians):,} Gaussians"
     assert request.preview is not None

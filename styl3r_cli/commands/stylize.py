@@ -55,9 +55,9 @@ Existing results are replaced; a photo or a style is never overwritten.
     type=click.Choice(QUALITIES),
     default=BEST,
     show_default=True,
-    help="Draft and balanced read the photos at half and three quarters of the model's size "
-    "(--size says another). The example scene by the network, and how well its pictures agree "
-    f"with the best: {help_of('stylize')}.",
+    help="Best fits the colours to the views, which sharpens them; balanced does not; draft also "
+    "reads the photos at half the model's size (--size says another). The example scene, and how "
+    f"well its pictures agree with the best: {help_of('stylize')}.",
 )
 @scene_options
 def command(styles: tuple[WeightedStyle, ...], strength: float, **options: Any) -> None:

@@ -13,6 +13,7 @@ PRECISIONS = ("w8", "w4", "int8", "int8-static")
 SIZES = (256, 224, 192, 160, 128)
 BUDGETS = (100.0, 50.0, 25.0, 10.0, 5.0, 2.0)
 DRAWINGS = ("exact", "antialias", "balanced", "draft")
+COLOURS = ("fitted", "plain")
 REPEATS = 3
 
 HELP = """\
@@ -24,7 +25,8 @@ Measure what speed costs in accuracy on this machine, with these photos.
   styl3r tradeoff photos/ -o report/ --precisions w8,int8 --sizes 256,128 --budgets 100,10 --grid
 
 Each dial (precision of the graphs, size of the photos, number of views, share of the Gaussians,
-drawing, cores) is turned alone, from the first of its values; --grid measures all combinations.
+drawing, cores, colours) is turned alone, from the first of its values; --grid measures all
+combinations.
 Every measurement is a process of its own, with a warm-up, and repeats are interleaved, so that a
 busy minute strikes all alike.
 
@@ -84,6 +86,13 @@ gives no finite scene, is shown as rejected and never recommended.
     default=DRAWINGS,
     metavar="NAME,...",
     help="exact, antialias, balanced, draft: as `render --antialias` and `render --quality` draw.",
+)
+@click.option(
+    "--colours",
+    type=ListOf(click.Choice(COLOURS)),
+    default=COLOURS,
+    metavar="NAME,...",
+    help="fitted, plain: as `stylize --quality best` and `balanced` make them.",
 )
 @click.option(
     "--threads",

@@ -10,7 +10,7 @@ all, and turn "which colours look most like that picture" into linear least squa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,10 @@ class Trace:
         out = np.zeros((len(self.picture), 3), np.float32)
         _multiply(self.gaussians, self.pixels, self.shares, colours, out)
         return out
+
+    def recoloured(self, change: FloatArray) -> Trace:
+        """The same with (G, 3) added to the colours; what changes is drawn with the matrix."""
+        return replace(self, picture=self.picture + self.draw(change))
 
     def gather(self, values: FloatArray) -> FloatArray:
         """The transposed matrix times (P, 3) values of pixels: (G, 3)."""

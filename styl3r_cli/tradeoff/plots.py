@@ -15,7 +15,6 @@ COSTS = {
     "MB of the scene's file": lambda row: row.bytes / MEGABYTE,
     "MB of the model": lambda row: row.model_bytes / MEGABYTE,
 }
-DIALS = ("precision", "size", "views", "budget", "drawing", "threads")
 MOST_DECIBELS = 70.0  # better agreement than this is drawn here, or it would flatten the rest
 SIZE = (5.2, 3.6)  # inches
 
@@ -28,7 +27,7 @@ def available() -> bool:
 def turned(row: Row, reference: Row) -> str:
     """The dials that differ from the reference's, in words."""
     ours, theirs = row.point.to_dict(), reference.point.to_dict()
-    parts = [f"{dial} {ours[dial]}" for dial in DIALS if ours[dial] != theirs[dial]]
+    parts = [f"{dial} {ours[dial]}" for dial in ours if ours[dial] != theirs[dial]]
     return ", ".join(parts) or "reference"
 
 

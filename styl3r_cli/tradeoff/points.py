@@ -9,6 +9,8 @@ from typing import Any
 
 # How a frame is drawn: see `render`, its --antialias and its --quality.
 DRAWINGS = ("exact", "antialias", "balanced", "draft")
+# Colours fitted to the views, or as the network gives them: see `painter`.
+COLOURS = ("fitted", "plain")
 WHOLE = 100.0  # percent
 
 
@@ -24,6 +26,7 @@ class Point:
         budget: share of the Gaussians that is kept, in percent.
         drawing: one of DRAWINGS.
         threads: processor cores.
+        colours: one of COLOURS.
     """
 
     precision: str
@@ -32,13 +35,15 @@ class Point:
     budget: float
     drawing: str
     threads: int
+    colours: str = COLOURS[0]
 
     @property
     def key(self) -> str:
         """A name that no other point has, and that a file may have."""
         views = f"{self.views}views"
-        parts = (self.precision, self.size, views, f"{self.budget:g}%", self.drawing, self.threads)
-        return "_".join(map(str, parts)).replace("%", "pc")
+        kept = f"{self.budget:g}pc"
+        parts = (self.precision, self.size, views, kept, self.drawing, self.threads, self.colours)
+        return "_".join(map(str, parts))
 
     def to_dict(self) -> dict[str, Any]:
         """The dials as plain values."""
@@ -58,6 +63,7 @@ class Dials:
     budget: Sequence[float]
     drawing: Sequence[str]
     threads: Sequence[int]
+    colours: Sequence[str] = COLOURS
 
     @property
     def reference(self) -> Point:
@@ -75,12 +81,5 @@ class Dials:
         ]
         return list(dict.fromkeys([self.reference, *turned]))
 
-    def _values(self) -> tuple[Sequence[Any], ...]:
-        return (
-            self.precision,
-            self.size,
-            self.views,
-            self.budget,
-            self.drawing,
-            self.threads,
-        )
+    def _values(self) -> Sequence[Sequence[Any]]:
+        return tuple(getattr(self, name) for name in Point.__dataclass_fields__)

@@ -10,6 +10,7 @@ import json
 import math
 import statistics
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,11 @@ import click
 from styl3r_cli.files import atomic_write
 from styl3r_cli.graphs import find
 from styl3r_cli.manifest import read_manifest
-from styl3r_cli.quality import BEST, MEASURED, QUALITIES, network_size
+from styl3r_cli.quality import BEST, FITTED, MEASURED, QUALITIES, network_size
 from styl3r_cli.sessions import available_cores
 from styl3r_cli.splatting.timing import machine
 from styl3r_cli.tradeoff.bench import Bench
-from styl3r_cli.tradeoff.points import GIVEN, WHOLE, Point
+from styl3r_cli.tradeoff.points import COLOURS, GIVEN, WHOLE, Point
 from styl3r_cli.tradeoff.rows import Row, collect
 
 EXAMPLE = Path("examples/room")
@@ -35,19 +36,16 @@ def points() -> dict[str, dict[str, Point]]:
     """The point of each quality, by command; `best` is the reference of both."""
     best = Point(GIVEN, SIDE, len(photos()), WHOLE, "exact", available_cores())
     stylize = {
-        quality: Point(GIVEN, network_size(quality, (SIDE, SIDE))[0], *_rest(best))
+        quality: replace(
+            best,
+            size=network_size(quality, (SIDE, SIDE))[0],
+            colours=COLOURS[0] if FITTED[quality] else COLOURS[1],
+        )
         for quality in QUALITIES
     }
     drawn = {BEST: "exact", "balanced": "balanced", "draft": "draft"}
-    render = {
-        quality: Point(GIVEN, SIDE, best.views, WHOLE, drawn[quality], best.threads)
-        for quality in QUALITIES
-    }
+    render = {quality: replace(best, drawing=drawn[quality]) for quality in QUALITIES}
     return {"stylize": stylize, "render": render}
-
-
-def _rest(best: Point) -> tuple[int, float, str, int]:
-    return best.views, best.budget, best.drawing, best.threads
 
 
 def photos() -> list[Path]:

@@ -46,6 +46,7 @@ class Request:
     views: tuple[int, ...] | None
     budgets: tuple[float, ...]
     drawings: tuple[str, ...]
+    colours: tuple[str, ...]
     threads: tuple[int, ...] | None
     grid: bool
     repeats: int
@@ -123,6 +124,7 @@ def make_dials(request: Request, photos: int, precisions: Sequence[str]) -> Dial
         budget=request.budgets,
         drawing=request.drawings,
         threads=request.threads or list(dict.fromkeys([cores, 1])),
+        colours=request.colours,
     )
 
 

@@ -181,6 +181,8 @@ def flags(point: Point, reference: Point) -> str:
         parts.append(f"--threads {point.threads}")
     if point.budget != reference.budget:
         parts.append(f"{point.budget:g} % of the Gaussians (styl3r compact)")
+    if point.colours != reference.colours:
+        parts.append("--quality balanced")
     if point.drawing == "antialias":
         parts.append("render --antialias")
     elif point.drawing != reference.drawing:

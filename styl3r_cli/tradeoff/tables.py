@@ -51,6 +51,7 @@ def to_text(rows: Sequence[Row]) -> str:
     """The table for standard output."""
     head = (
         f"{'precision':12}{'size':>5}{'views':>6}{'kept':>7}{'drawn':>10}{'cores':>6}"
+        f"{'colours':>8}"
         f"{'structure':>11}{'appearance':>12}{'compact':>9}{'frame':>8}{'memory':>9}{'scene':>9}"
         f"{'worst':>9}{'truth':>9}"
     )
@@ -59,7 +60,7 @@ def to_text(rows: Sequence[Row]) -> str:
         point = row.point
         start = (
             f"{point.precision:12}{point.size:5}{point.views:6}{point.budget:6g}%"
-            f"{point.drawing:>10}{point.threads:6}"
+            f"{point.drawing:>10}{point.threads:6}{point.colours:>8}"
         )
         if row.failed:
             lines.append(f"{start}  failed: {row.failed}")

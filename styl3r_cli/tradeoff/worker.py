@@ -21,8 +21,9 @@ from styl3r_cli.files import atomic_write
 from styl3r_cli.formats import encode_scene
 from styl3r_cli.frames import Drawing, Picture, coarse, colours
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.painter import Painter
 from styl3r_cli.photos import load_photos, load_style
-from styl3r_cli.pipeline import Scene, Stylizer
+from styl3r_cli.pipeline import Stylizer
 from styl3r_cli.quality import SHARES
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, between
 from styl3r_cli.tradeoff.points import WHOLE
@@ -65,10 +66,11 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
     for _ in range(2):
         with watch("structure"):
             scene = stylizer.encode(photos)
+        found = recover(scene.means, scene.opacities, scene.intrinsics, photos.focals_measured)
+        painter = Painter(stylizer, scene, found, threads, point["colours"] == "fitted")
         with watch("appearance"):
-            gaussians, _ = stylizer.gaussians(scene, styles, strength=1.0 if styles else 0.0)
+            gaussians, _ = painter(styles, strength=1.0 if styles else 0.0)
         watch.seconds.setdefault("first run", time.perf_counter() - start)
-    found = recover(scene.means, scene.opacities, scene.intrinsics, photos.focals_measured)
     whole = gaussians
     with watch("compact"):
         gaussians = compact_to(whole, found.cameras, point["budget"], threads)
@@ -83,9 +85,7 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
         "gaussians": len(gaussians),
     }
     if job["pictures"]:
-        _save(
-            Path(job["pictures"]), job, gaussians, cameras, _truths(job, stylizer, scene, cameras)
-        )
+        _save(Path(job["pictures"]), job, gaussians, cameras, _truths(job, painter, cameras))
     return result
 
 
@@ -128,14 +128,12 @@ def _save(
         np.savez(file, **arrays)
 
 
-def _truths(
-    job: dict[str, Any], stylizer: Stylizer, scene: Scene, cameras: Sequence[Camera]
-) -> list[Picture]:
+def _truths(job: dict[str, Any], painter: Painter, cameras: Sequence[Camera]) -> list[Picture]:
     """What held-out cameras see of the scene in its own colours, compacted and drawn alike."""
     if not job["held_out"]:
         return []
     point = job["point"]
-    own, _ = stylizer.gaussians(scene, strength=0.0)
+    own, _ = painter(strength=0.0)
     own = compact_to(own, cameras, point["budget"], point["threads"])
     poses = [np.array(pose) for pose in job["held_out"]["views"]]
     scale = relative_scale([camera.extrinsics for camera in cameras], poses)

@@ -23,7 +23,7 @@ Run = Callable[..., tuple[int, bytes, str]]
 REFERENCE = Point(GIVEN, 64, 3, 100.0, "exact", 1)
 FEW = (
     *("--precisions", "w8", "--sizes", "64,48", "--views", "3,2", "--budgets", "100"),
-    *("--drawings", "exact,draft", "--repeats", 2),
+    *("--drawings", "exact,draft", "--colours", "fitted", "--repeats", 2),
 )
 
 
@@ -82,7 +82,7 @@ def test_differences_are_those_that_were_made() -> None:
 
 
 def test_each_dial_is_turned_alone_or_all_together() -> None:
-    dials = Dials([GIVEN, "w8"], [64, 48], [3, 2], [100.0], ["exact"], [1])
+    dials = Dials([GIVEN, "w8"], [64, 48], [3, 2], [100.0], ["exact"], [1], ["fitted"])
     points = dials.points(grid=False)
     assert points[0] == dials.reference == REFERENCE
     assert len(points) == len({point.key for point in points}) == 4
@@ -167,6 +167,7 @@ def test_interrupted_runs_go_on_and_other_inputs_start_anew(
 ) -> None:
     plain = ("-o", tmp_path / "r", "--precisions", "fp32", "--sizes", "64,48", "--views", "3")
     plain = (*plain, "--budgets", "100", "--drawings", "exact", "--fov", 60)
+    plain = (*plain, "--colours", "fitted")
     measured, whole = bench.work, 4
 
     def interrupt(job: dict[str, Any]) -> dict[str, Any]:
@@ -200,6 +201,7 @@ def test_held_out_photos_are_the_truth(
     code, _, err = measure(
         *(*photos[:2], "--holdout", photos[2], "-o", tmp_path / "r", "--precisions", "fp32"),
         *("--sizes", "64", "--budgets", "100", "--drawings", "exact", "--repeats", 1),
+        *("--colours", "fitted"),
     )
     assert code == 0, err
     report = json.loads((tmp_path / "r" / "tradeoff.json").read_text())
@@ -236,6 +238,7 @@ def test_points_are_measured_in_processes_of_their_own(
     code, _, err = measure(
         *(*photos, "-o", tmp_path / "r", "--precisions", "fp32", "--sizes", "64", "--views", "3"),
         *("--budgets", "100,50", "--drawings", "exact", "--repeats", 1),
+        *("--colours", "fitted,plain"),
     )
     assert code == 0, err
     points = json.loads((tmp_path / "r" / "tradeoff.json").read_text())["points"]

@@ -1,4 +1,4 @@
-"""Losses of the novel-view stage: Gaussians of two views, rendered from between them."""
+"""Losses of the novel-view stage: Gaussians of two views, rendered from between and from them."""
 
 from __future__ import annotations
 
@@ -19,17 +19,23 @@ WEIGHTS = {
     "photometric": 20.0,  # squared colour difference; large beside the geometry terms it refines
     "perceptual": 0.05,  # the paper's weight of its perceptual term
 }
+# The same two terms, an input drawn from its own camera. Without it two views of one surface are
+# blended half and half, which is the safest picture from between them and a blurred one of both.
+OWN_WEIGHT = 0.5
+# Which of the three views is left out, and which go in.
+MIDDLE, OUTER = 1, (0, 2)
 # Nothing nearer than this fraction of the scene's unit is drawn.
 NEAR = 0.02
 
 
 class NovelViewStep:
-    """Three views in walking order: the outer two go in, the middle one is rendered."""
+    """Three views in walking order: the outer two go in, the middle and one of them are drawn."""
 
-    def __init__(self, perceptual: nn.Module, geometry_too: bool = True) -> None:
+    def __init__(self, perceptual: nn.Module, geometry_too: bool = True, seed: int = 0) -> None:
         """Without `geometry_too` only the Gaussians' other attributes learn: twice as fast."""
         self.perceptual = perceptual
         self.geometry_too = geometry_too
+        self.random = torch.Generator().manual_seed(seed)
 
     def __call__(self, model: Styl3r, batch: Batch) -> dict[str, Tensor]:
         """Weighted losses: the geometry stage's on the two inputs, and the rendered view's."""
@@ -41,7 +47,7 @@ class NovelViewStep:
         pictures = to_network(inputs.images).flatten(0, 1)
         params = model.gaussian_param_head(rays.hooks, rows, columns, pictures, content.pyramid)
         with torch.autocast("cpu", enabled=False):
-            weighted = {}
+            weighted: dict[str, Tensor] = {}
             if self.geometry_too:
                 losses = geometry_losses(rays, inputs)
                 weighted = {n: GEOMETRY_WEIGHTS[n] * v for n, v in losses.items()}
@@ -50,13 +56,18 @@ class NovelViewStep:
             # the views without having to make up for a camera that is still being learnt.
             depth = rays.depth * true_scale(rays.depth, inputs.depth)
             geometry = ray_geometry(depth, params, inputs.intrinsics, true_pose(inputs))
-            rendered = render_middle(geometry, batch)
-            photo = batch.images[:, 1]
-            error = F.mse_loss(rendered, photo)
-            distance = self._distance(rendered, photo)
-        return weighted | {
-            "photometric": WEIGHTS["photometric"] * error,
-            "perceptual": WEIGHTS["perceptual"] * distance,
+            weighted |= self._likeness(geometry, batch, MIDDLE)
+            own = OUTER[int(torch.randint(len(OUTER), (), generator=self.random))]
+            for name, value in self._likeness(geometry, batch, own).items():
+                weighted[f"own {name}"] = OWN_WEIGHT * value
+        return weighted
+
+    def _likeness(self, geometry: Geometry, batch: Batch, view: int) -> dict[str, Tensor]:
+        """Both weighted terms of one of the three views."""
+        rendered, photo = render_view(geometry, batch, view), batch.images[:, view]
+        return {
+            "photometric": WEIGHTS["photometric"] * F.mse_loss(rendered, photo),
+            "perceptual": WEIGHTS["perceptual"] * self._distance(rendered, photo),
         }
 
     def _distance(self, a: Tensor, b: Tensor) -> Tensor:
@@ -94,14 +105,14 @@ def quaternions(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 
     return F.normalize(torch.cat((w[..., None], axis / (4 * w[..., None])), dim=-1), dim=-1)
 
 
-def render_middle(geometry: Geometry, batch: Batch) -> Float[Tensor, "batch 3 H W"]:
-    """Each scene's Gaussians in the colours of their own pixels, from the middle camera."""
+def render_view(geometry: Geometry, batch: Batch, view: int) -> Float[Tensor, "batch 3 H W"]:
+    """Each scene's Gaussians in the colours of their own pixels, from one of the three cameras."""
     height, width = batch.images.shape[-2:]
     frames = []
-    for scene, extrinsics in enumerate(batch.extrinsics[:, 1]):
+    for scene, extrinsics in enumerate(batch.extrinsics[:, view]):
         means, scales, rotations, opacities = (g[scene].flatten(0, 2) for g in geometry)
         colours = batch.images[scene, ::2].movedim(1, -1).flatten(0, 2)
-        lens = batch.intrinsics[scene, 1].clone()
+        lens = batch.intrinsics[scene, view].clone()
         lens[0] *= width
         lens[1] *= height
         colour, _, _ = splat(

@@ -17,6 +17,7 @@ from styl3r_cli.errors import InputError, Styl3rError, UsageError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, to_picture
 from styl3r_cli.gaussians import FloatArray, Gaussians
+from styl3r_cli.painter import Painter
 from styl3r_cli.photos.load import STYLE_SIDE, load_style
 from styl3r_cli.photos.resize import PATCH, fit_style
 from styl3r_cli.pipeline import Stylizer
@@ -123,7 +124,8 @@ def draw_scene(stylizer: Stylizer, group: Group, plan: Plan) -> list[Row]:
     prediction = predict(stylizer, group, plan.intrinsics)
     cameras = prediction.recovered.cameras
     middle = camera_path(cameras, 3)[1]
-    own, _ = stylizer.gaussians(prediction.scene, strength=0.0)
+    painter = Painter(stylizer, prediction.scene, prediction.recovered, plan.threads)
+    own, _ = painter(strength=0.0)
     plain = [
         Cell(group.views[0].pixels, f"photo {group.views[0].name}"),
         *own_cells(own, cameras[0], plan),
@@ -131,7 +133,7 @@ def draw_scene(stylizer: Stylizer, group: Group, plan: Plan) -> list[Row]:
     rows = []
     for style in plan.styles:
         heading = f"{group.scene.name}, in {style.name}{unplaced(prediction)}"
-        stylized, _ = stylizer.gaussians(prediction.scene, [style.image])
+        stylized, _ = painter([style.image])
         cells = [
             Cell(seen(stylized, camera, plan), caption)
             for camera, caption in ((cameras[0], "stylized"), (middle, "stylized, a new view"))

@@ -10,6 +10,7 @@ import cv2
 import torch
 
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.painter import Painter
 from styl3r_cli.photos.load import STYLE_SIDE
 from styl3r_cli.pipeline import Stylizer
 from styl3r_export.evaluate.consistency import consistency_values
@@ -55,6 +56,9 @@ class Evaluator:
     def values(self, group: Group, painting: Painting | None) -> Values:
         """All rows of a group, the stylized ones if there is a painting."""
         prediction = predict(self.stylizer, group, self.settings.intrinsics)
+        painter = Painter(
+            self.stylizer, prediction.scene, prediction.recovered, self.settings.threads
+        )
         values: Values = {}
         known = all(len(view.truth[1]) for view in group.views)
         if "depth" in self.rows and known:
@@ -66,11 +70,11 @@ class Evaluator:
         draws = "views" in self.rows and bool(group.targets)
         moves = "consistency" in self.rows and painting is not None
         if draws or moves:
-            own, _ = self.stylizer.gaussians(prediction.scene, strength=0.0)
+            own, _ = painter(strength=0.0)
         if draws:
             values |= self._novel_view(group, prediction, own)
         if painting is not None:
-            stylized, _ = self.stylizer.gaussians(prediction.scene, [painting.image])
+            stylized, _ = painter([painting.image])
             if "style" in self.rows:
                 values |= self._style(group, prediction, stylized, painting)
             if moves:

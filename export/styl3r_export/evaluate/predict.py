@@ -75,6 +75,7 @@ def load_stylizer(path: Path, threads: int) -> Stylizer:
         appearance=cast(Graph, TorchGraph(network, "appearance")),
         style_range=PAINTING_RANGE,
         content_range=PHOTO_AS_STYLE_RANGES[network.config.photo_as_style],
+        paints_pictures=network.config.colours == "strokes",
         input_size=(256, 256),
         device="cpu",
     )

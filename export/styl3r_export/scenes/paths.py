@@ -13,9 +13,10 @@ Vector = NDArray[np.float64]
 #: Horizontal field of view of a square centre crop, degrees: phones and cameras, few wide ones.
 FIELD_OF_VIEW = (34.0, 68.0)
 #: First to last camera over the median depth, log-uniform: what casual photos of one thing span.
-BASELINE = (0.12, 1.3)
-#: Share of the first view's pixels that every other view must see.
-MIN_OVERLAP = 0.35
+BASELINE = (0.12, 1.8)
+#: Share of the first view's pixels that every other view must see: real pairs that people take
+#: share as little, and a network that has never met them finds no camera there.
+MIN_OVERLAP = 0.2
 #: Points this much deeper than the surface seen there are hidden (relative depth).
 HIDDEN = 0.05
 

@@ -1,0 +1,99 @@
+"""A scene with its cameras, given one style after another; colours that survive being drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.gaussians import FloatArray, Gaussians
+from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
+
+# Steps of the colours' least squares. On real pairs the third still sharpens pictures from new
+# cameras, the fourth and fifth only those from the views' own.
+FIT_STEPS = 3
+
+
+class Painter:
+    """Colours for one scene, fitted to what its views should look like.
+
+    A model whose colours are pictures says what each view should show. Drawn, that picture is
+    blurred: Gaussians are wider than a pixel, and two views of one surface lie in two layers, one
+    over the other. The painter solves for the colours whose drawing comes closest to the pictures
+    of all views (a frame is linear in the colours). What does not depend on the style is worked
+    out once.
+
+    Example:
+        >>> painter = Painter(stylizer, scene, recover(scene.means, scene.opacities))
+        >>> gaussians, repairs = painter([load_style(path).image])
+    """
+
+    def __init__(
+        self,
+        stylizer: Stylizer,
+        scene: Scene,
+        recovered: Recovered,
+        threads: int | None = None,
+        fitted: bool = True,
+    ) -> None:
+        """Get ready; nothing is computed yet.
+
+        Args:
+            stylizer: the model that encoded the scene.
+            scene: from its `encode`.
+            recovered: the views' cameras. A view whose camera was not found is not fitted to.
+            threads: None for every core.
+            fitted: whether to fit at all. Colours of a model that trained its colours through a
+                renderer never are.
+        """
+        self.stylizer, self.scene, self.recovered = stylizer, scene, recovered
+        self.threads = threads
+        self.fitted = fitted and stylizer.model.paints_pictures
+
+    def __call__(
+        self,
+        styles: Sequence[FloatArray] = (),
+        weights: Sequence[float] | None = None,
+        strength: float = 1.0,
+    ) -> tuple[Gaussians, Repairs]:
+        """One Gaussian a pixel in a style; arguments and errors as `Stylizer.colours`."""
+        colours = self.stylizer.colours(self.scene, styles, weights, strength)
+        gaussians, repairs = assemble(self.scene, colours)
+        if self.fitted and np.isfinite(colours).all():
+            gaussians = self._fit.apply(gaussians, colours)
+        return gaussians, repairs
+
+    @cached_property
+    def _fit(self) -> _Fit:
+        return _Fit(self.scene, self.recovered, self.threads)
+
+
+class _Fit:
+    """The views' frames as matrices that take colours to pixels."""
+
+    def __init__(self, scene: Scene, recovered: Recovered, threads: int | None) -> None:
+        from styl3r_cli.compaction.witnesses import look
+
+        self.views = np.flatnonzero(recovered.recovered)
+        self.threads = threads
+        self.plain = scene.images.transpose(0, 2, 3, 1)  # any colours would do to begin with
+        gaussians, _ = assemble(scene, self.plain)
+        self.plain_colours = gaussians.colours
+        self.traces = look(gaussians, [recovered.cameras[view] for view in self.views], threads)
+
+    def apply(self, gaussians: Gaussians, pictures: FloatArray) -> Gaussians:
+        """The Gaussians in the colours that show the pictures (N, H, W, 3) best."""
+        from styl3r_cli.compaction.refit import Target, refit
+
+        change = gaussians.colours - self.plain_colours
+        traces = [each.recoloured(change) for each in self.traces]
+        # What the scene does not cover stays uncovered.
+        covered = [1 - each.through[:, None] for each in traces]
+        targets = [
+            Target(pictures[view].reshape(-1, 3) * cover, each.through)
+            for view, cover, each in zip(self.views, covered, traces, strict=True)
+        ]
+        colours = refit(traces, targets, gaussians.colours, FIT_STEPS, self.threads)
+        return gaussians.with_colours(colours)

@@ -1,0 +1,162 @@
+"""Colours fitted to the views: pictures are drawn sharper, and nothing else changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.painter import Painter
+from styl3r_cli.picture_metrics import psnr
+from styl3r_cli.pipeline import Scene, Stylizer, assemble
+from styl3r_cli.splatting import render
+
+SIDE, FOCAL, DEPTH, STEP = 32, 32.0, 2.0, 0.25
+WIDE = 0.9  # standard deviation of the Gaussians, pixels: drawn pictures are blurred
+
+
+class Brush:
+    """A model whose appearance graph gives what it is told to; counts its runs."""
+
+    def __init__(self, pictures: FloatArray, paints_pictures: bool = True) -> None:
+        self.model = SimpleNamespace(paints_pictures=paints_pictures)
+        self.pictures = pictures
+
+    def colours(self, *_: Any, **__: Any) -> FloatArray:
+        """The pictures."""
+        return self.pictures
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """Two views of a wall, each with a Gaussian a pixel; the second camera stands to the right."""
+    grid = (np.arange(SIDE) + 0.5 - SIDE / 2) / FOCAL * DEPTH
+    x, y = np.meshgrid(grid, grid)
+    wall = np.stack((x, y, np.full_like(x, DEPTH)), -1)
+    means = np.stack((wall, wall + np.array((STEP, 0, 0.01)))).astype(np.float32)
+    shape = means.shape[:3]
+    return Scene(
+        images=np.full((2, 3, SIDE, SIDE), 0.5, np.float32),
+        intrinsics=np.tile(np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]], np.float32), (2, 1, 1)),
+        means=means,
+        scales=np.full((*shape, 3), WIDE * DEPTH / FOCAL, np.float32),
+        rotations=np.tile(np.array([1, 0, 0, 0], np.float32), (*shape, 1)),
+        opacities=np.full(shape, 0.8, np.float32),
+        content_tokens=np.zeros((2, 4, 8), np.float32),
+    )
+
+
+@pytest.fixture
+def recovered() -> Recovered:
+    second = np.eye(4)
+    second[0, 3] = -STEP
+    cameras = [
+        Camera(pose, FOCAL, FOCAL, SIDE / 2, SIDE / 2, SIDE, SIDE) for pose in (np.eye(4), second)
+    ]
+    return Recovered(cameras, [1.0, 1.0], [True, True], None, None, [])
+
+
+@pytest.fixture
+def pictures(scene: Scene) -> FloatArray:
+    """What both views show of one striped wall: fine strokes in colour."""
+    x, y = scene.means[..., 0], scene.means[..., 1]
+    waves = [np.sin(18 * x), np.sin(15 * (x + y)), np.sin(20 * y)]
+    return (0.5 + 0.35 * np.stack(waves, -1)).astype(np.float32)
+
+
+def paint(brush: Brush, scene: Scene, recovered: Recovered, fitted: bool = True) -> Painter:
+    return Painter(cast(Stylizer, brush), scene, recovered, 1, fitted)
+
+
+def seen(gaussians: Any, recovered: Recovered) -> list[FloatArray]:
+    return [render(gaussians, camera, threads=1).colour for camera in recovered.cameras]
+
+
+def middle(picture: FloatArray) -> FloatArray:
+    """Without the border, where the wall ends."""
+    return picture[4:-4, 8:-8]
+
+
+def test_fitted_colours_show_the_pictures_more_sharply(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    plain, _ = paint(Brush(pictures), scene, recovered, fitted=False)()
+    fitted, _ = paint(Brush(pictures), scene, recovered)()
+    for before, after, want in zip(
+        seen(plain, recovered), seen(fitted, recovered), pictures, strict=True
+    ):
+        gained = psnr(middle(after), middle(want)) - psnr(middle(before), middle(want))
+        assert gained > 5  # decibels
+    # From between the views, too, though no picture was given for there.
+    pose = np.eye(4)
+    pose[0, 3] = -STEP / 2
+    between = replace(recovered.cameras[0], extrinsics=pose)
+    x = scene.means[0, :, :, 0] + STEP / 2
+    y = scene.means[0, :, :, 1]
+    want = 0.5 + 0.35 * np.stack([np.sin(18 * x), np.sin(15 * (x + y)), np.sin(20 * y)], -1)
+    drawn = [middle(render(each, between, threads=1).colour) for each in (plain, fitted)]
+    assert psnr(drawn[1], middle(want)) > psnr(drawn[0], middle(want)) + 3
+
+
+def test_only_colours_change_and_they_stay_in_range(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    plain, _ = assemble(scene, pictures)
+    fitted, repairs = paint(Brush(pictures), scene, recovered)()
+    for name in ("means", "scales", "rotations", "opacities"):
+        np.testing.assert_array_equal(getattr(fitted, name), getattr(plain, name))
+    assert 0 <= fitted.colours.min() <= fitted.colours.max() <= 1
+    assert str(repairs) == ""
+
+
+def test_a_second_style_is_fitted_as_if_it_were_the_first(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    brush = Brush(pictures)
+    painter = paint(brush, scene, recovered)
+    painter()
+    brush.pictures = 1 - pictures[..., ::-1]
+    again, _ = painter()
+    fresh, _ = paint(Brush(brush.pictures), scene, recovered)()
+    np.testing.assert_allclose(again.colours, fresh.colours, atol=1e-6)
+
+
+def test_colours_of_other_models_are_left_alone(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    plain, _ = assemble(scene, pictures)
+    given, _ = paint(Brush(pictures, paints_pictures=False), scene, recovered)()
+    np.testing.assert_array_equal(given.colours, plain.colours)
+
+
+def test_a_view_without_a_camera_has_no_say(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    """Its picture belongs to another place than the one that stands in for its camera."""
+    lost = replace(recovered, recovered=[True, False])
+    other = pictures.copy()
+    other[1] = 0
+    ours, theirs = (paint(Brush(each), scene, lost)()[0].colours for each in (pictures, other))
+    first = SIDE * SIDE
+    sure = np.s_[: first // 2]  # of the first view; its own start is the same in both
+    assert np.abs(ours[sure] - theirs[sure]).max() < np.abs(pictures - other).max()
+    with_both, _ = paint(Brush(other), scene, recovered)()
+    assert (
+        np.abs(ours[sure] - theirs[sure]).mean()
+        < np.abs(ours[sure] - with_both.colours[sure]).mean()
+    )
+
+
+def test_pictures_that_are_not_finite_are_not_fitted_to(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    pictures[0, 3, 4] = np.nan
+    gaussians, repairs = paint(Brush(pictures), scene, recovered)()
+    assert repairs.dropped_not_finite == 1
+    assert np.isfinite(gaussians.colours).all()
