@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -30,8 +33,11 @@ SCALARS = {
 }
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 END = b"end_header"
-MOST_ROWS = 1 << 62  # no file has more; numbers of thousands of digits make long messages
+MOST_ROWS = 1 << 60  # no file has more; numbers of thousands of digits make long messages
 LONGEST_QUOTE = 80  # characters of a damaged file in a message
+LARGEST_TEXT = 1 << 30  # bytes of ASCII rows: read in 7 s, with as much memory again
+LONGEST_NUMBER = 1000  # bytes, spaces included; printf's longest double has 330
+MOST_EMPTY_LINES = 1000  # more than there are rows
 LONGEST_HEADER = 1 << 20  # a file without an end of the header is not searched for gigabytes
 
 
@@ -154,23 +160,48 @@ def _read_binary(
 def _read_ascii(
     data: bytes, body: int, order: str, before: list[Element], wanted: Element, name: str
 ) -> NDArray[Any]:
-    lines = [line for line in data[body:].splitlines() if line.strip()]
-    first = sum(element.count for element in before)
-    rows = lines[first : first + wanted.count]
-    if len(rows) < wanted.count:
-        raise InputError(
-            f"{name}: cut off: {len(rows)} of {wanted.count} {_rows(wanted)} are there"
-        )
+    """Row by row: text takes ten times its size in memory where it is split all at once."""
+    if len(data) - body > LARGEST_TEXT:
+        size = f"{(len(data) - body) // 10**6} MB of text"
+        raise InputError(f"{name}: {size} is more than is read; save it as a binary PLY")
     width = len(wanted.names)
-    values = [row.split() for row in rows]
-    if any(len(row) != width for row in values):
-        raise InputError(f"{name}: a row does not have the header's {width} numbers")
-    try:
-        numbers = (float(word) for row in values for word in row)
-        return np.fromiter(numbers, np.float64, len(rows) * width).reshape(len(rows), width)
-    except ValueError as error:
-        what = str(error)[:LONGEST_QUOTE]
-        raise InputError(f"{name}: a row has something that is no number: {what}") from error
+    first = min(sum(element.count for element in before), MOST_ROWS)
+    rows = islice(_text_rows(data, body, width, name), first, first + wanted.count)
+    start = next(rows, None)
+    if start is None:
+        table = np.zeros((0, width))
+    else:
+        try:
+            table = np.loadtxt(chain([start], rows), np.float64, comments=None, ndmin=2)
+        except ValueError as error:
+            what = str(error).split(";")[0][:LONGEST_QUOTE]
+            raise InputError(
+                f"{name}: a row is not the header's {width} numbers: {what}"
+            ) from error
+    if table.shape[1] != width:
+        has = f"it has {table.shape[1]}"
+        raise InputError(f"{name}: a row is not the header's {width} numbers: {has}")
+    if len(table) < wanted.count:
+        there = f"{len(table)} of {wanted.count} {_rows(wanted)} are there"
+        raise InputError(f"{name}: cut off: {there}")
+    return table
+
+
+def _text_rows(data: bytes, body: int, width: int, name: str) -> Iterator[bytes]:
+    """The lines with something in them, of the lengths that rows can have."""
+    lines = io.BytesIO(data)  # shares the bytes
+    lines.seek(body)
+    longest = LONGEST_NUMBER * width
+    surplus = 0  # of empty lines over rows
+    for line in lines:
+        empty = not line.strip()
+        surplus += 1 if empty else -1
+        if surplus > MOST_EMPTY_LINES:
+            raise InputError(f"{name}: more empty lines than rows; save it as a binary PLY")
+        if not empty:
+            if len(line) > longest:
+                raise InputError(f"{name}: a row of {len(line)} bytes is not {width} numbers")
+            yield line
 
 
 def _rows(element: Element) -> str:

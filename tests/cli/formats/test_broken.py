@@ -268,7 +268,7 @@ LITTLE = "format binary_little_endian 1.0"
                 "property float x",
                 body=b"9" * 10**6 + b"\n1" * 19999,
             ),
-            "not 3D Gaussians",
+            "a row of 1000001 bytes is not 1 numbers",
         ),
     ],
 )

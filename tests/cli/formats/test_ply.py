@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from styl3r_cli.errors import InputError, UsageError
-from styl3r_cli.formats import encode_scene, read_scene, write_scene
+from styl3r_cli.formats import encode_scene, ply_container, read_scene, write_scene
+from styl3r_cli.formats.ply_container import MOST_ROWS, read_element
 from styl3r_cli.formats.values import LOGIT_LIMIT, SMALLEST_SCALE
 from styl3r_cli.gaussians import Gaussians
 
@@ -168,6 +170,14 @@ def header(*lines: str) -> bytes:
     return "\n".join(["ply", *lines, "end_header", ""]).encode()
 
 
+ONE_COLUMN = ("element vertex 1", "property float x")
+
+
+def ascii_rows(count: int, rows: bytes) -> bytes:
+    """A text PLY of one column that claims so many rows."""
+    return header("format ascii 1.0", f"element vertex {count}", ONE_COLUMN[1]) + rows
+
+
 LITTLE = "format binary_little_endian 1.0"
 
 
@@ -201,8 +211,18 @@ LITTLE = "format binary_little_endian 1.0"
             header(LITTLE, "element vertex 9999999999", "property float x"),
             "cut off: 0 of 9999999999",
         ),
-        (header("format ascii 1.0", "element vertex 1", "property float x") + b"abc", "no number"),
-        (header("format ascii 1.0", "element vertex 1", "property float x") + b"1 2", "1 numbers"),
+        (ascii_rows(1, b"abc"), "a row is not the header's 1 numbers: could not convert .*'abc'"),
+        (ascii_rows(1, b"1 2"), "a row is not the header's 1 numbers: it has 2"),
+        (ascii_rows(3, b"1\n2\n3 4\n"), "a row is not the header's 1 numbers: .* at row 3"),
+        (ascii_rows(2, b"1\n"), "cut off: 1 of 2 Gaussians are there"),
+        (ascii_rows(2, b"\n \n"), "cut off: 0 of 2 Gaussians are there"),
+        (ascii_rows(MOST_ROWS, b"1\n"), "cut off: 1 of 1152921504606846976 Gaussians"),
+        (ascii_rows(1, b"\n" * 5000), "more empty lines than rows"),
+        (ascii_rows(1, b"1" * 5000), "a row of 5000 bytes is not 1 numbers"),
+        (
+            header("format ascii 1.0", *["element a 1152921504606846976"] * 20, *ONE_COLUMN),
+            "cut off: 0 of 1 Gaussians",
+        ),
     ],
 )
 def test_broken_files_say_what_is_wrong(tmp_path: Path, data: bytes, words: str) -> None:
@@ -211,6 +231,43 @@ def test_broken_files_say_what_is_wrong(tmp_path: Path, data: bytes, words: str)
     with pytest.raises(InputError, match=rf"s\.ply: .*{words}") as caught:
         read_scene(path)
     assert "\n" not in str(caught.value)
+
+
+def as_text(scene: Gaussians, end: str = "\n") -> bytes:
+    """The scene as a text PLY, in digits that give the same float64 back."""
+    element = independent(encode_scene(scene).data)["vertex"]
+    lines = ["format ascii 1.0", f"element vertex {len(scene)}"]
+    lines += [f"property float {name}" for name in element.data.dtype.names]
+    rows = [" ".join(repr(float(value)) for value in row) for row in element.data]
+    return header(*lines) + (end.join(rows) + end).encode()
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\n\n", " \t\n"])
+def test_text_is_read_to_the_last_bit(scene: Gaussians, end: str) -> None:
+    back, binary = (
+        read_scene(data).gaussians for data in (as_text(scene, end), encode_scene(scene).data)
+    )
+    for name in ("means", "scales", "rotations", "opacities", "colours"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(binary, name))
+
+
+def test_text_takes_no_more_memory_than_the_file() -> None:
+    rows = 20_000
+    data = ascii_rows(rows, b"0.12345678\n" * rows)
+    tracemalloc.start()
+    try:
+        table = read_element(data, "a.ply")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(table.rows) == rows
+    assert peak < 3 * len(data)  # it was 10 times, and more with more columns
+
+
+def test_too_much_text_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ply_container, "LARGEST_TEXT", 2_000_000)
+    with pytest.raises(InputError, match=r"2 MB of text is more than is read; save it as a binary"):
+        read_element(ascii_rows(1, b"1\n" * 1_100_000), "a.ply")
 
 
 def test_cut_off_file(scene: Gaussians) -> None:
