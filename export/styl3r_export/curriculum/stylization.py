@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -15,7 +15,6 @@ from torch.nn import functional as F
 from styl3r_export.curriculum.data import Batch
 from styl3r_export.curriculum.geometry import OCCLUSION, to_world
 from styl3r_export.curriculum.perceptual import content_distance, style_distance
-from styl3r_export.curriculum.pictures import PictureBank
 from styl3r_export.model import Styl3r
 from styl3r_export.model.adapter import pixel_rays
 
@@ -39,6 +38,13 @@ class StyleBatch(NamedTuple):
     scenes: Batch
     styles: Float[Tensor, "batch 3 h w"]
     strength: float  # 1: the painting alone, 0: the scene's own colours
+
+
+class Paintings(Protocol):
+    """Where styles come from: `PictureBank` in memory, `PaintingFolder` on disk."""
+
+    def crops(self, rng: np.random.Generator, count: int, size: int) -> Float[Tensor, "n 3 h w"]:
+        """Random paintings in [0, 1]."""
 
 
 class Teacher:
@@ -153,7 +159,7 @@ def correspondences(
 
 
 def style_batches(
-    scenes: Iterator[Batch], flat: Iterator[Batch], styles: PictureBank, seed: int
+    scenes: Iterator[Batch], flat: Iterator[Batch], styles: Paintings, seed: int
 ) -> Iterator[StyleBatch]:
     """Generated scenes and flat photographs in turn, each scene with a painting of its own."""
     rng = np.random.default_rng(seed)

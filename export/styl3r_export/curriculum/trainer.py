@@ -35,6 +35,7 @@ class Schedule:
     clip: float = 1.0  # gradient norm
     average: float = 0.999  # of the moving average of the weights that checkpoints hold
     checkpoint_every: float = 120.0  # seconds
+    validate_every: int = 500  # steps
 
     def factor(self, step: int) -> float:
         """Learning rate at a step, as a fraction of its peak."""
@@ -111,9 +112,21 @@ class Trainer:
         )
 
     def run(
-        self, data: Iterator[Any], step: Step, *, seconds: float = math.inf, log_every: int = 20
+        self,
+        data: Iterator[Any],
+        step: Step,
+        *,
+        seconds: float = math.inf,
+        log_every: int = 20,
+        validation: Callable[[Styl3r], dict[str, float]] | None = None,
     ) -> None:
-        """Train until the schedule or the time ends; checkpoints and log lines on the way."""
+        """Train until the schedule or the time ends; checkpoints and log lines on the way.
+
+        With a validation, its numbers of the averaged weights go to `validation.csv`: at the
+        start, every so many steps, and at the end.
+        """
+        if validation and self.step == 0:
+            self._validate(validation)
         began = saved = time.monotonic()
         first_step = self.step
         sums: dict[str, tuple[float, int]] = {}  # a batch need not have every term
@@ -128,7 +141,22 @@ class Trainer:
             if time.monotonic() - saved > self.schedule.checkpoint_every:
                 self.save()
                 saved = time.monotonic()
+            ends = self.step == self.schedule.steps
+            if validation and (ends or self.step % self.schedule.validate_every == 0):
+                self._validate(validation)
         self.save()
+
+    @torch.no_grad()
+    def _validate(self, validation: Callable[[Styl3r], dict[str, float]]) -> None:
+        """Measure the averaged weights, then go on with those in training."""
+        training = {name: value.clone() for name, value in self.model.state_dict().items()}
+        self.model.load_state_dict(self.average)
+        with torch.autocast(self.device.type, torch.bfloat16):
+            found = validation(self.model)
+        self.model.load_state_dict(training)
+        told = " ".join(f"{name} {value:.4f}" for name, value in found.items())
+        print(f"validation at step {self.step} | {told}", file=sys.stderr, flush=True)
+        self._write("validation.csv", found)
 
     def _train_step(self, batch: Any, step: Step) -> dict[str, float]:
         for group in self.optimiser.param_groups:
@@ -184,13 +212,17 @@ class Trainer:
             file=sys.stderr,
             flush=True,
         )
-        log = self.folder / "log.csv"
+        self._write("log.csv", terms)
+
+    def _write(self, name: str, numbers: dict[str, float]) -> None:
+        """Add a line to a table in the run's folder."""
+        log = self.folder / name
         new = not log.exists()
         with log.open("a", newline="") as file:
             writer = csv.writer(file)
             if new:
-                writer.writerow(["step", *terms])
-            writer.writerow([self.step, *(f"{v:.5f}" for v in terms.values())])
+                writer.writerow(["step", *numbers])
+            writer.writerow([self.step, *(f"{v:.5f}" for v in numbers.values())])
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
