@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
+
+if TYPE_CHECKING:  # they bring numba, which takes a while
+    from styl3r_cli.cameras.camera import Camera
+    from styl3r_cli.compaction.tracing import Trace
 
 # Steps of the colours' least squares. On real pairs the third still sharpens pictures from new
 # cameras, the fourth and fifth only those from the views' own.
@@ -70,30 +77,62 @@ class Painter:
         return _Fit(self.scene, self.recovered, self.threads)
 
 
+def warm_up() -> None:
+    """Load the compiled code of fitting in a thread, while the network is being read and run.
+
+    That takes half a second (and some more the first time, when it is compiled). Whatever goes
+    wrong with it goes wrong again, and is reported, where the code is used.
+    """
+
+    def load() -> None:
+        from styl3r_cli.cameras.camera import Camera
+
+        one, three = np.ones(1, np.float32), np.ones((1, 3), np.float32)
+        dot = Gaussians(three, three, np.ones((1, 4), np.float32), one, three)
+        camera = Camera(np.eye(4), 1.0, 1.0, 0.5, 0.5, 1, 1)
+        with suppress(Exception):
+            _fitted(dot, _look(dot, [camera], 1), [three], 1)
+
+    threading.Thread(target=load, name="warm up").start()
+
+
+def _look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:
+    from styl3r_cli.compaction.witnesses import look
+
+    return look(gaussians, cameras, threads)
+
+
+def _fitted(
+    gaussians: Gaussians,
+    traces: Sequence[Trace],
+    pictures: Sequence[FloatArray],
+    threads: int | None,
+) -> Gaussians:
+    """The Gaussians in the colours that show the pictures (P, 3) best."""
+    from styl3r_cli.compaction.refit import Target, refit
+
+    # What the scene does not cover stays uncovered.
+    targets = [
+        Target(picture * (1 - each.through[:, None]), each.through)
+        for picture, each in zip(pictures, traces, strict=True)
+    ]
+    colours = refit(traces, targets, gaussians.colours, FIT_STEPS, threads)
+    return gaussians.with_colours(colours)
+
+
 class _Fit:
     """The views' frames as matrices that take colours to pixels."""
 
     def __init__(self, scene: Scene, recovered: Recovered, threads: int | None) -> None:
-        from styl3r_cli.compaction.witnesses import look
-
         self.views = np.flatnonzero(recovered.recovered)
         self.threads = threads
-        self.plain = scene.images.transpose(0, 2, 3, 1)  # any colours would do to begin with
-        gaussians, _ = assemble(scene, self.plain)
-        self.plain_colours = gaussians.colours
-        self.traces = look(gaussians, [recovered.cameras[view] for view in self.views], threads)
+        # Any colours would do to begin with.
+        gaussians, _ = assemble(scene, scene.images.transpose(0, 2, 3, 1))
+        self.plain = gaussians.colours
+        self.traces = _look(gaussians, [recovered.cameras[view] for view in self.views], threads)
 
     def apply(self, gaussians: Gaussians, pictures: FloatArray) -> Gaussians:
         """The Gaussians in the colours that show the pictures (N, H, W, 3) best."""
-        from styl3r_cli.compaction.refit import Target, refit
-
-        change = gaussians.colours - self.plain_colours
-        traces = [each.recoloured(change) for each in self.traces]
-        # What the scene does not cover stays uncovered.
-        covered = [1 - each.through[:, None] for each in traces]
-        targets = [
-            Target(pictures[view].reshape(-1, 3) * cover, each.through)
-            for view, cover, each in zip(self.views, covered, traces, strict=True)
-        ]
-        colours = refit(traces, targets, gaussians.colours, FIT_STEPS, self.threads)
-        return gaussians.with_colours(colours)
+        traces = [each.recoloured(gaussians.colours - self.plain) for each in self.traces]
+        wanted = [pictures[view].reshape(-1, 3) for view in self.views]
+        return _fitted(gaussians, traces, wanted, self.threads)

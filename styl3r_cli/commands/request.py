@@ -16,11 +16,12 @@ from styl3r_cli.files import read_stdin
 from styl3r_cli.formats import scene_suffix
 from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.names import real_path, user_path
+from styl3r_cli.painter import warm_up
 from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
 from styl3r_cli.photos.listing import parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE
 from styl3r_cli.pipeline import Stylizer
-from styl3r_cli.quality import BEST, network_size
+from styl3r_cli.quality import BEST, FITTED, network_size
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,8 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
     paths = _without_styles(request, expand(request.photos, notes, listed), notes)
     _check(request, paths)
     known = _known_cameras(request, paths, notes)
+    if FITTED[request.quality]:
+        warm_up()
     for note in notes:
         console.note(note)
 
