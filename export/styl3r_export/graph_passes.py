@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import cast
 
 import numpy as np
@@ -23,6 +25,8 @@ AXES: dict[str, tuple[str | int, ...]] = {
     "style_images": ("styles", 3, "style_height", "style_width"),
     "style_weights": ("styles",),
 }
+# The rewriter takes what is no further from 0 or 1 for it; its own limits are 1e-8 and 1e-5.
+ALMOST = 1e-4
 # A half precision weight is cast back to float32 under this name's end.
 WIDENED = "/float32"
 
@@ -90,7 +94,9 @@ def simplify(model: ir.Model, parameters: set[str]) -> None:
 
     for _ in range(2):  # folding uncovers patterns for rewriting, and the other way round
         optimizer.fold_constants(model, should_fold=should_fold)
-        rewriter.rewrite(model)
+        passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
+        with _almost_nothing_hidden(model.graph):
+            rewriter.rewrite(model)
         passes.RemoveUnusedNodesPass()(model)
         passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
         merge_constants(model.graph, parameters)
@@ -101,6 +107,29 @@ def simplify(model: ir.Model, parameters: set[str]) -> None:
     passes.RemoveUnusedNodesPass()(model)
     passes.ClearMetadataAndDocStringPass()(model)
     passes.NameFixPass()(model)
+
+
+@contextmanager
+def _almost_nothing_hidden(graph: ir.Graph) -> Iterator[None]:
+    """Keep the values of constants near 0 and 1 from the rewriter.
+
+    It drops summands and factors that are close to 0 and 1, not only those that are: without its
+    1e-8 a norm is zero where its vector is, and what is divided by it is not a number.
+    """
+    hidden: list[tuple[ir.Value, ir.TensorProtocol]] = []
+    for value in graph.initializers.values():
+        tensor = constant(value)
+        if tensor.size == 1 and tensor.dtype.is_floating_point():
+            distance = min(abs(float(tensor.numpy().item()) - whole) for whole in (0, 1))
+            if 0 < distance <= ALMOST:
+                hidden.append((value, tensor))
+    for value, _ in hidden:
+        value.const_value = None
+    try:
+        yield
+    finally:
+        for value, tensor in hidden:
+            value.const_value = tensor
 
 
 def merge_constants(graph: ir.Graph, parameters: set[str]) -> None:

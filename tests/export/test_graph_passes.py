@@ -13,8 +13,10 @@ from torch import Tensor, nn
 from torch.export import Dim
 
 from styl3r_export import graph_passes, onnx_export
+from styl3r_export.model.adapter import free_geometry
 from styl3r_export.precision import HALF_MIN_ELEMENTS, rounded
 
+NEARLY_ONE = 1 + 4e-6
 WIDTH = 160  # squared it is large enough for half precision
 
 
@@ -114,6 +116,34 @@ def test_simplifying_leaves_few_operators(traced: Path, model: Inner) -> None:
     kinds = {n.op_type for n in after}
     assert not kinds & {"CastLike", "SequenceAt", "SplitToSequence", "Identity", "Constant"}
     assert sum(n.op_type == "Softmax" for n in after) == 1
+
+
+class Activations(nn.Module):
+    """The published ones, a factor that is almost one, and what does nothing."""
+
+    def forward(self, points: Tensor, structure: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Rotations, means, and points that are a little larger."""
+        geometry = free_geometry(points, structure)
+        return geometry.rotations, geometry.means, (points + 0) * 1 * NEARLY_ONE
+
+
+def test_small_summands_and_factors_near_one_stay(tmp_path: Path) -> None:
+    """A zero quaternion is divided by its norm plus 1e-8: zero, and not a number without it."""
+    module = Activations()
+    inputs = {"points": torch.randn(1, 3, 3, 4, 5), "structure": torch.randn(1, 3, 8, 4, 5)}
+    inputs["points"][..., 0], inputs["structure"][..., 0] = 0, 0
+    graph_model = onnx_export.trace(module, inputs, {}, ["rotations", "means", "larger"])
+    graph_passes.simplify(graph_model, set())
+    ir.save(graph_model, tmp_path / "run.onnx")
+    session = onnxruntime.InferenceSession(tmp_path / "run.onnx")
+    given = session.run(None, {name: value.numpy() for name, value in inputs.items()})
+    for values, expected in zip(given, module(**inputs), strict=True):
+        assert np.isfinite(values).all()
+        np.testing.assert_allclose(values, expected, rtol=1e-6, atol=1e-7)
+    assert (given[0][..., 0, :] == 0).all()
+    kinds = [node.op_type for node in graph_model.graph]
+    assert kinds.count("Mul") <= 3  # none is by 1, and none of the sums is with 0
+    assert kinds.count("Add") == 1
 
 
 def test_half_precision_is_storage_only(traced: Path, model: Inner, tmp_path: Path) -> None:
