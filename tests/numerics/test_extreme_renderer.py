@@ -267,7 +267,7 @@ def test_a_whole_8k_frame() -> None:
 
 @pytest.mark.slow
 def test_ten_million_gaussians() -> None:
-    """The near half over the far half is the whole, and threads change nothing."""
+    """The near half over the far half is the whole."""
     count = 10_000_000
     rng = np.random.default_rng(16)
     means = rng.random((count, 3), np.float32) * np.float32([6, 6, 4]) - np.float32([3, 3, -1])
