@@ -6,16 +6,36 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """What the process's exit status tells a shell script (documented in the README)."""
+    """What the process's exit status tells a shell script (docs/exit_codes.md)."""
 
     SUCCESS = 0
-    INTERNAL = 1  # a bug: please report it
-    USAGE = 2  # the command line is wrong (click's own code for it)
-    INPUT = 3  # a photo, style, scene or camera file cannot be used
-    MODEL = 4  # the model is missing, damaged or of another kind
-    PARTIAL = 5  # a batch went through, but not all of it
-    OUTPUT = 6  # a result cannot be written
-    INTERRUPTED = 130  # Ctrl-C, as shells report it
+    INTERNAL = 1
+    USAGE = 2  # click's own code for it
+    INPUT = 3
+    MODEL = 4
+    PARTIAL = 5
+    OUTPUT = 6
+    INTERRUPTED = 130  # as shells report it
+
+
+# In the words of --help and the manual page.
+MEANINGS = {
+    ExitCode.SUCCESS: "done",
+    ExitCode.INTERNAL: "a bug, or out of memory",
+    ExitCode.USAGE: "wrong command line",
+    ExitCode.INPUT: "an input cannot be used",
+    ExitCode.MODEL: "the model is missing or damaged",
+    ExitCode.PARTIAL: "a batch went through, but not all of it",
+    ExitCode.OUTPUT: "a result cannot be written",
+    ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
+}
+# How shells report a program that a signal ended; nothing is said then.
+BROKEN_PIPE = 128 + 13  # SIGPIPE
+TERMINATED = 128 + 15  # SIGTERM
+SIGNALS = {
+    BROKEN_PIPE: "whoever read standard output has closed it",
+    TERMINATED: "told to end (SIGTERM)",
+}
 
 
 class Styl3rError(Exception):

@@ -8,12 +8,13 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
+from itertools import zip_longest
 from typing import NoReturn
 
 import click
 
 from styl3r_cli import __version__, console, memory
-from styl3r_cli.errors import ExitCode, Styl3rError
+from styl3r_cli.errors import BROKEN_PIPE, MEANINGS, TERMINATED, ExitCode, Styl3rError
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
 # so that the list of commands needs none of their libraries.
@@ -30,10 +31,19 @@ COMMANDS = {
     "completion": ("completion", "What a shell needs to complete styl3r's commands and options."),
     "export": ("export", "A checkpoint becomes a model folder (needs the extra 'export')."),
 }
+HIDDEN = {"man": ("man", "The manual page: styl3r man | man -l -")}
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
-BROKEN_PIPE = 128 + 13  # how shells report a program that SIGPIPE ended
-TERMINATED = 128 + 15
 OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
+
+
+def exit_code_columns() -> str:
+    """What there is, in two columns."""
+    rows = [f"{code:<4} {meaning}" for code, meaning in MEANINGS.items()]
+    half = (len(rows) + 1) // 2
+    pairs = zip_longest(rows[:half], rows[half:], fillvalue="")
+    return "\n".join(f"  {left:<30} {right}".rstrip() for left, right in pairs)
+
+
 HELP = """\
 2 to 8 photos of a place and one painting become a stylized 3D scene, on any CPU.
 
@@ -42,16 +52,13 @@ HELP = """\
 
 `styl3r COMMAND --help` explains a command.
 """
-EPILOG = """\b
+EPILOG = f"""\b
 Exit codes:
-  0  done                      4  the model is missing or damaged
-  1  a bug in styl3r           5  a batch went through, but not all of it
-  2  wrong command line        6  a result cannot be written
-  3  an input cannot be used   130  interrupted (Ctrl-C)
+{exit_code_columns()}
 
 Results go to the files that you name, or to standard output with '-'; notes and progress go to
-standard error. STYL3R_DEBUG=1 shows the traceback of a bug; NO_COLOR=1 turns colours off;
-STYL3R_LOG=json makes every note and error a line of JSON, as --log does."""
+standard error. {DEBUG}=1 shows the traceback of a bug; NO_COLOR=1 turns colours off;
+{console.LOG}=json makes every note and error a line of JSON, as --log does."""
 
 
 class LazyGroup(click.Group):
@@ -63,9 +70,10 @@ class LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import one command; None if there is none of that name."""
-        if cmd_name not in COMMANDS:
+        known = COMMANDS | HIDDEN
+        if cmd_name not in known:
             return None
-        command = import_module(f"styl3r_cli.commands.{COMMANDS[cmd_name][0]}").command
+        command = import_module(f"styl3r_cli.commands.{known[cmd_name][0]}").command
         from styl3r_cli.commands.options import FileName
 
         for parameter in command.params:
@@ -77,7 +85,7 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """As click does, with an error that says what there is."""
-        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS | HIDDEN:
             known = ", ".join(COMMANDS)
             raise click.UsageError(f"there is no command '{args[0]}'; there are {known}", ctx)
         return super().resolve_command(ctx, args)
