@@ -68,8 +68,9 @@ def near_plane(means: FloatArray) -> float:
     (so that nothing pops along a path), for any order of the Gaussians, in any unit, and wherever
     the scene lies.
     """
-    finite = np.isfinite(means).all(axis=1)
-    axes = (means if finite.all() else means[finite]).T
+    if not np.isfinite(means).all():
+        means = means[np.isfinite(means).all(axis=1)]
+    axes = np.ascontiguousarray(means.T)
     if axes.shape[1] == 0:
         return 0.0
     squares = np.zeros(axes.shape[1])
