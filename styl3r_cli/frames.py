@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.depth_colours import COLOUR_MAPS, SOLID, DepthScale
 from styl3r_cli.files import atomic_write
 from styl3r_cli.gaussians import FloatArray, Gaussians
+from styl3r_cli.surroundings import fill_holes
 
 if TYPE_CHECKING:
     from styl3r_cli.splatting import Frame
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]
 Colour = tuple[float, float, float]
 BLACK: Colour = (0.0, 0.0, 0.0)
+# Instead of a colour: what the scene shows around its holes, blurred into them.
+SURROUNDINGS: Literal["surroundings"] = "surroundings"
+Background = Colour | Literal["surroundings"]
 # One picture: of a camera, at a share of the path's time from 0 up to 1.
 Look = Callable[[Camera, float], Picture]
 
@@ -37,22 +41,24 @@ class Drawing:
     """How scenes are drawn: what every frame has in common.
 
     Attributes:
-        background: sRGB in [0, 1], where no Gaussian is; None leaves it transparent.
+        background: what is seen where no Gaussian is: sRGB in [0, 1], or SURROUNDINGS; None
+            leaves it transparent.
         threads: None for every core.
         antialias: whether Gaussians smaller than a pixel are as faint as they are.
     """
 
-    background: Colour | None = BLACK
+    background: Background | None = SURROUNDINGS
     threads: int | None = None
     antialias: bool = False
 
     def frame(self, gaussians: Gaussians, camera: Camera) -> Frame:
-        """What the renderer makes of it."""
+        """What the renderer makes of it; the surroundings are in its colours, not in its alpha."""
         from styl3r_cli.splatting import render
 
-        return render(
-            gaussians, camera, self.background, threads=self.threads, antialias=self.antialias
-        )
+        filled = self.background == SURROUNDINGS
+        colour = None if self.background == SURROUNDINGS else self.background
+        frame = render(gaussians, camera, colour, threads=self.threads, antialias=self.antialias)
+        return replace(frame, colour=fill_holes(frame.colour, frame.alpha)) if filled else frame
 
 
 def to_picture(colours: FloatArray) -> Picture:
@@ -148,7 +154,7 @@ def draw(
 def draw_path(
     gaussians: Gaussians,
     cameras: Iterable[Camera],
-    background: Colour = BLACK,
+    background: Background = SURROUNDINGS,
     threads: int | None = None,
     drawn: Callable[[], None] = lambda: None,
 ) -> Iterator[Picture]:

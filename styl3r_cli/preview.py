@@ -15,7 +15,7 @@ from styl3r_cli.cameras.poses import blend, from_camera, to_camera
 from styl3r_cli.contact_sheet import Cell, Row, draw_sheet
 from styl3r_cli.depth_colours import SOLID, colour_depths
 from styl3r_cli.files import atomic_write
-from styl3r_cli.frames import Picture, enlarged, to_picture
+from styl3r_cli.frames import Drawing, Picture, enlarged, to_picture
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.photos.load import spread
 
@@ -66,14 +66,13 @@ def write_preview(path: Path, preview: Preview, title: str, threads: int | None 
 
 
 def _rows(preview: Preview, threads: int | None) -> list[Row]:
-    from styl3r_cli.splatting import render
-
+    drawing = Drawing(threads=threads)
     shown = spread(len(preview.names), MOST_VIEWS)
     cameras = [enlarged(preview.cameras[index], CELL) for index in shown]
     cameras.append(_between(cameras[0], cameras[1]))
     captions = [f"view {index + 1}" for index in shown]
     captions.append(f"between {captions[0]} and {captions[1]}")
-    result = [render(preview.result, camera, threads=threads) for camera in cameras]
+    result = [drawing.frame(preview.result, camera) for camera in cameras]
     depths = colour_depths(
         [frame.depth for frame in result], [frame.alpha > SOLID for frame in result]
     )
@@ -85,7 +84,7 @@ def _rows(preview: Preview, threads: int | None) -> list[Row]:
     pictures = [to_picture(frame.colour) for frame in result]
     rows.append(Row("Stylized" if preview.styles else "Scene", _cells(pictures, captions)))
     if preview.styles:
-        frames = [render(preview.own, camera, threads=threads) for camera in cameras]
+        frames = [drawing.frame(preview.own, camera) for camera in cameras]
         pictures = [to_picture(frame.colour) for frame in frames]
         rows.append(Row("In its own colours", _cells(pictures, captions)))
     rows.append(Row("Depth (red is near, blue is far)", _cells(depths, captions)))

@@ -126,7 +126,8 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
 @click.option(
     "--background",
     metavar="COLOUR",
-    help="What is behind the scene: a name, #rrggbb or rgb(r,g,b); by default black. "
+    help="What is seen where the scene has nothing: a name, #rrggbb or rgb(r,g,b); by default "
+    "'surroundings', what is around such holes, blurred into them (other viewers show black). "
     "'transparent' for .png, .webp and .webm; EXR frames keep their alpha anyway.",
 )
 @click.option(

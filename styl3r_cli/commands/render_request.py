@@ -9,7 +9,7 @@ from pathlib import Path
 from styl3r_cli.commands.checks import check_outputs, check_stdout
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import OutputError, UsageError
-from styl3r_cli.frames import Colour
+from styl3r_cli.frames import SURROUNDINGS, Background, Colour
 from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.movies import PIPED
 from styl3r_cli.names import user_path
@@ -20,7 +20,6 @@ LINEAR = "exr"
 FORMATS = (*MOVIES, "y4m", "rgb", "png", "jpg", LINEAR)
 WITH_ALPHA = ("webm", "webp", "png", "rgb")
 TRANSPARENT = "transparent"
-DEFAULT_BACKGROUND = "black"
 
 
 @dataclass(frozen=True)
@@ -73,13 +72,15 @@ class RenderRequest:
         return self.output == STDOUT or self.kind not in (*PICTURES, LINEAR)
 
 
-def background_of(request: RenderRequest) -> Colour | None:
-    """The colour behind the scene; None for a transparent one.
+def background_of(request: RenderRequest) -> Background | None:
+    """What is behind the scene; None for nothing.
 
     Raises:
         UsageError: it is no colour, or the format has no alpha.
     """
-    asked = request.background or DEFAULT_BACKGROUND
+    asked = request.background or SURROUNDINGS
+    if asked == SURROUNDINGS:
+        return SURROUNDINGS
     if asked != TRANSPARENT:
         return parse_colour(asked)
     if request.kind not in (*WITH_ALPHA, LINEAR):

@@ -27,8 +27,13 @@ from styl3r_cli.frames import enlarged, to_picture
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.photos.resize import fit_intrinsics
 from styl3r_cli.splatting import render
+from styl3r_cli.surroundings import fill_holes
 
 Run = Callable[..., tuple[int, str]]
+
+
+# What is seen behind a scene in other viewers, and what `render` gives.
+BLACK = ("--background", "black")
 
 
 def camera_at(x: float, width: int = 64, height: int = 48) -> Camera:
@@ -88,12 +93,24 @@ def test_each_camera_of_a_file_is_one_picture(
     run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
 ) -> None:
     pattern = tmp_path / "out" / "view_%03d.png"
-    assert run(scene, "--cameras", cameras, "-o", pattern) == (0, "")
+    assert run(scene, "--cameras", cameras, *BLACK, "-o", pattern) == (0, "")
     assert sorted(p.name for p in pattern.parent.iterdir()) == ["view_000.png", "view_001.png"]
     for index, camera in enumerate(CAMERAS):
         picture = np.asarray(Image.open(tmp_path / "out" / f"view_{index:03d}.png"))
         expected = to_picture(render(gaussians, camera).colour)
         assert np.abs(picture.astype(int) - expected).max() <= 1  # the PLY rounds to float32
+
+
+def test_holes_show_their_surroundings(
+    run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
+) -> None:
+    assert run(scene, "--cameras", cameras, "-o", tmp_path / "%d.png") == (0, "")
+    picture = np.asarray(Image.open(tmp_path / "1.png")).astype(int)
+    frame = render(gaussians, CAMERAS[1])
+    assert (frame.alpha < 0.01).any()
+    expected = to_picture(fill_holes(frame.colour, frame.alpha))
+    assert np.abs(picture - expected).max() <= 1
+    assert picture[frame.alpha < 0.01].min() > 0
 
 
 def test_default_is_a_loop_around_the_stored_views(run: Run, scene: Path, tmp_path: Path) -> None:
@@ -110,7 +127,7 @@ def test_interpolation_starts_at_the_first_view(
     run: Run, scene: Path, gaussians: Gaussians, tmp_path: Path
 ) -> None:
     pattern = tmp_path / "%d.png"
-    assert run(scene, "--path", "interpolate", "--frames", 2, "-o", pattern) == (0, "")
+    assert run(scene, "--path", "interpolate", "--frames", 2, *BLACK, "-o", pattern) == (0, "")
     for index, camera in enumerate(CAMERAS):
         picture = np.asarray(Image.open(tmp_path / f"{index}.png")).astype(int)
         expected = to_picture(render(gaussians, enlarged(camera, 512)).colour)
@@ -170,7 +187,7 @@ def test_a_file_of_cameras_becomes_a_path_of_any_length(
 ) -> None:
     pattern = tmp_path / "%d.png"
     options = ("--path", cameras, "--frames", 9, "--once", "--speed", "constant", "-o", pattern)
-    assert run(scene, *options) == (0, "")
+    assert run(scene, *options, *BLACK) == (0, "")
     for index, camera in ((0, CAMERAS[0]), (4, camera_at(0.15)), (8, CAMERAS[1])):
         picture = np.asarray(Image.open(tmp_path / f"{index}.png")).astype(int)
         assert np.abs(picture - to_picture(render(gaussians, camera).colour)).mean() < 0.5
@@ -179,7 +196,8 @@ def test_a_file_of_cameras_becomes_a_path_of_any_length(
 def test_fov_is_the_horizontal_angle(
     run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
 ) -> None:
-    assert run(scene, "--cameras", cameras, "--fov", 90, "-o", tmp_path / "%d.png") == (0, "")
+    options = ("--cameras", cameras, "--fov", 90, *BLACK, "-o", tmp_path / "%d.png")
+    assert run(scene, *options) == (0, "")
     lens = replace(CAMERAS[1], fx=32.0, fy=32.0, cx=32.0, cy=24.0)
     picture = np.asarray(Image.open(tmp_path / "1.png")).astype(int)
     assert np.abs(picture - to_picture(render(gaussians, lens).colour)).max() <= 1
@@ -189,7 +207,7 @@ def test_antialiasing_is_the_renderers(
     run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
 ) -> None:
     options = ("--cameras", cameras, "--size", "16x12", "--antialias", "-o", tmp_path / "%d.png")
-    assert run(scene, *options) == (0, "")
+    assert run(scene, *options, *BLACK) == (0, "")
     camera = cropped(CAMERAS[1], 16, 12)
     picture = np.asarray(Image.open(tmp_path / "1.png")).astype(int)
     plain, smooth = (to_picture(render(gaussians, camera, antialias=a).colour) for a in (0, 1))
@@ -219,7 +237,7 @@ def test_two_scenes_side_by_side(
 ) -> None:
     other = recoloured(gaussians, tmp_path / "other.ply")
     both = ("--cameras", cameras, "--compare", other, "-o", tmp_path / "%d.png")
-    assert run(scene, *both) == (0, "")
+    assert run(scene, *both, *BLACK) == (0, "")
     picture = np.asarray(Image.open(tmp_path / "1.png")).astype(int)
     assert picture.shape == (48, 128, 3)
     expected = to_picture(render(gaussians, CAMERAS[1]).colour)

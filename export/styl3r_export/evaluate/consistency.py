@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras import poses
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.frames import Drawing
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.splatting import Frame, render
+from styl3r_cli.splatting import Frame
 from styl3r_export.evaluate.records import MODEL, Values
 from styl3r_export.evaluate.style import Painting
 from styl3r_export.evaluate.teachers import Teachers
@@ -67,11 +68,11 @@ def consistency_values(
         threads: for the renderer.
     """
     needed = sorted({index for pairs in PAIRS.values() for pair in pairs for index in pair})
-    path = camera_path(cameras, FRAMES)
-    frames = {k: render(own, path[k], threads=threads) for k in needed}
+    path, drawing = camera_path(cameras, FRAMES), Drawing(threads=threads)
+    frames = {k: drawing.frame(own, path[k]) for k in needed}
     plain: dict[int, Picture] = {k: frame.colour.clip(0, 1) for k, frame in frames.items()}
     movies: dict[str, dict[int, Picture]] = {
-        MODEL: {k: render(stylized, path[k], threads=threads).colour.clip(0, 1) for k in needed},
+        MODEL: {k: drawing.frame(stylized, path[k]).colour.clip(0, 1) for k in needed},
         OWN: plain,
     }
     for name, stylizer in teachers.stylizers.items():

@@ -15,14 +15,13 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.contact_sheet import Cell, Row, draw_sheet
 from styl3r_cli.errors import InputError, Styl3rError, UsageError
 from styl3r_cli.files import atomic_write
-from styl3r_cli.frames import Picture, to_picture
+from styl3r_cli.frames import Drawing, Picture, to_picture
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos.load import STYLE_SIDE, load_style
 from styl3r_cli.photos.resize import PATCH, fit_style
 from styl3r_cli.pipeline import Stylizer
 from styl3r_cli.preview import SOLID, colour_depths
-from styl3r_cli.splatting import render
 from styl3r_export.evaluate.consistency import camera_path
 from styl3r_export.evaluate.groups import Group, choose_groups, pick
 from styl3r_export.evaluate.predict import Intrinsics, Prediction, load_stylizer, predict
@@ -150,7 +149,7 @@ def unplaced(prediction: Prediction) -> str:
 
 def own_cells(own: Gaussians, camera: Camera, plan: Plan) -> list[Cell]:
     """The scene in its own colours, and its depth, as its first camera sees them."""
-    frame = render(own, camera, threads=plan.threads)
+    frame = Drawing(threads=plan.threads).frame(own, camera)
     (depth,) = colour_depths([frame.depth], [frame.alpha > SOLID])
     return [
         Cell(to_picture(frame.colour), "own colours"),
@@ -160,7 +159,7 @@ def own_cells(own: Gaussians, camera: Camera, plan: Plan) -> list[Cell]:
 
 def seen(gaussians: Gaussians, camera: Camera, plan: Plan) -> Picture:
     """What a camera sees of the scene."""
-    return to_picture(render(gaussians, camera, threads=plan.threads).colour)
+    return to_picture(Drawing(threads=plan.threads).frame(gaussians, camera).colour)
 
 
 def style_cell(style: Style, plan: Plan) -> Cell:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.poses import centre
+from styl3r_cli.frames import Drawing
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.splatting import render
 from styl3r_export.evaluate.align import align
@@ -39,18 +40,21 @@ def novel_view_values(
 
     A target's camera is the true one, brought to the model's world by the inputs' cameras
     alone. With `pose_steps`, `model, pose adjusted` also fits that camera to the target's picture,
-    as the published evaluation does.
+    as the published evaluation does. Where the scene has nothing, `model` shows its surroundings,
+    as `styl3r render` does and the baselines do in their own ways; `model, on black` does not.
 
     Baselines: `nearest photo` is the input whose camera is closest; `homography (oracle)` warps
     it by the homography between the points that it and the target are known to share, which takes
     the target's own picture to know (left out where no points are known).
     """
     values: Values = {}
+    drawing = Drawing(threads=threads)
     for target in (group.scene.views[index] for index in group.targets):
         camera = target_camera(group, prediction, target, intrinsics)
         nearest = nearest_view(group, target)
         pictures: dict[str, Picture] = {
-            MODEL: render(gaussians, camera, threads=threads).colour,
+            MODEL: drawing.frame(gaussians, camera).colour,
+            "model, on black": render(gaussians, camera, threads=threads).colour,
             "nearest photo": nearest.pixels / np.float32(255),
         }
         if len(target.points):
@@ -60,7 +64,7 @@ def novel_view_values(
             eyes = [centre(prediction.recovered.cameras[k].extrinsics) for k in (0, -1)]
             unit = float(np.linalg.norm(eyes[1] - eyes[0]))
             fitted = adjust_pose(gaussians, camera, truth, unit, pose_steps, threads)
-            pictures["model, pose adjusted"] = render(gaussians, fitted, threads=threads).colour
+            pictures["model, pose adjusted"] = drawing.frame(gaussians, fitted).colour
         for method, picture in pictures.items():
             for name, value in likeness(picture, truth, lpips).items():
                 values.setdefault(("novel view", name, method), []).append(value)

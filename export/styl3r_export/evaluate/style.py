@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.errors import InputError
+from styl3r_cli.frames import Drawing
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.photos.expand import PHOTO_SUFFIXES
 from styl3r_cli.photos.load import load_style
-from styl3r_cli.splatting import render
 from styl3r_export.curriculum.perceptual import content_distance, style_distance
 from styl3r_export.curriculum.pictures import HELD_OUT
 from styl3r_export.evaluate.groups import Group
@@ -94,11 +94,12 @@ def style_values(
         threads: for the renderer.
     """
     values: Values = {}
+    drawing = Drawing(threads=threads)
     for index in (0, len(group.inputs) - 1):
         photo = group.views[index].pixels / np.float32(255)
         original = features(teachers.vgg, photo)
         frames: dict[str, Picture] = {
-            MODEL: render(gaussians, cameras[index], threads=threads).colour.clip(0, 1),
+            MODEL: drawing.frame(gaussians, cameras[index]).colour.clip(0, 1),
             NONE: photo,
         }
         for name, stylizer in teachers.stylizers.items():
