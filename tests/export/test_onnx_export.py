@@ -228,7 +228,8 @@ def test_mini_agrees_and_fits_its_budget(tmp_path: Path) -> None:
     report = export_graphs(small_model(MINI), tmp_path / "mini", "fp16", cases=CASES)
     assert {row.case.views for row in report.rows} == {2, 3, 4, 8}
     assert {row.case.styles for row in report.rows} == {1, 3}
-    assert max(row.worst for row in report.rows) < 1e-4
+    # Cameras of a network that has learnt nothing are ill-conditioned, and move all points.
+    assert max(row.worst for row in report.rows) < 3e-4
     assert sum(entry.bytes for entry in report.manifest.files.values()) < 32_000_000
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -130,6 +130,16 @@ def ray_geometry(
         scales=footprint[..., None] * (FOOTPRINT_MIN + F.softplus(scale)),
         rotations=multiply_quaternions(turn, F.normalize(local, dim=-1)),
         opacities=opacity.squeeze(-1).sigmoid(),
+    )
+
+
+def seen_from(geometry: Geometry, pose: Pose, view: Int[Tensor, " one"]) -> Geometry:
+    """The same Gaussians, one of the views' cameras taken for the world."""
+    rotation, centre = (t[:, view, None, None] for t in pose)
+    turn = torch.cat((rotation[..., :1], -rotation[..., 1:]), dim=-1)
+    return geometry._replace(
+        means=rotate_vectors(turn, geometry.means - centre),
+        rotations=multiply_quaternions(turn, geometry.rotations),
     )
 
 
