@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import stat
@@ -100,6 +101,19 @@ def _write_all(stream: IO[bytes], data: bytes) -> None:
     rest = memoryview(data)
     while rest:
         rest = rest[stream.write(rest) or 0 :]
+
+
+def read_file(path: Path) -> bytes:
+    """What is in a file or comes through a named pipe.
+
+    Raises:
+        OSError: it cannot be read, or is a device: /dev/zero never ends, and a link may lead there.
+    """
+    with path.open("rb") as file:
+        mode = os.fstat(file.fileno()).st_mode
+        if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
+            raise OSError(errno.EINVAL, "a device, not a file", str(path))
+        return file.read()
 
 
 def read_stdin() -> bytes:

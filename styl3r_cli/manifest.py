@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from styl3r_cli.errors import ModelError
+from styl3r_cli.files import read_file
 
 STRUCTURE = "structure.onnx"
 APPEARANCE = "appearance.onnx"
@@ -92,11 +93,11 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = json.loads(read_file(path).decode("utf-8"))
     except FileNotFoundError as error:
         message = f"{folder}: no {MANIFEST}; a model is a folder that `styl3r export` wrote"
         raise ModelError(message) from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ModelError(f"{path}: cannot be read ({error}); export the model again") from error
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise ModelError(f"{path}: not a manifest of styl3r graphs; export the model again")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.errors import InputError
+from styl3r_cli.files import read_file
 
 # Files with six digits are off by 1e-6; a scaled or sheared matrix by far more.
 RIGID_TOLERANCE = 1e-3
@@ -23,7 +24,7 @@ def load_object(source: Path | bytes) -> tuple[str, dict[str, Any]]:
     """The name of a source, for messages, and the JSON object in it."""
     name = "-" if isinstance(source, bytes) else str(source)
     try:
-        data = source if isinstance(source, bytes) else source.read_bytes()
+        data = source if isinstance(source, bytes) else read_file(source)
         content = json.loads(data)
     except OSError as error:
         raise InputError(f"{name}: cannot be read: {error.strerror or error}") from error

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 from styl3r_cli.errors import InputError, UsageError
-from styl3r_cli.files import atomic_write
+from styl3r_cli.files import atomic_write, read_file
 from styl3r_cli.formats.scene import Encoded, Scene
 from styl3r_cli.gaussians import Gaussians
 
@@ -88,7 +88,7 @@ def read_scene(source: Path | bytes, suffix: str | None = None) -> Scene:
         return _module(suffix).decode(source, "-")
     suffix = suffix or scene_suffix(source)
     try:
-        data = source.read_bytes()
+        data = read_file(source)
     except OSError as error:
         raise InputError(f"{source}: cannot be read: {error.strerror or error}") from error
     return _module(suffix).decode(data, str(source))

@@ -30,6 +30,7 @@ from PIL import (  # the plugins register their formats on import
 
 from styl3r_cli import memory
 from styl3r_cli.errors import InputError
+from styl3r_cli.files import read_file
 from styl3r_cli.photos.focal import read_equivalent_focal
 
 # A 200-megapixel phone photo passes; more is a scan too large for this, or a decompression bomb.
@@ -101,7 +102,7 @@ def decode(path: Path) -> Decoded:
         InputError: the file cannot be read, is no picture, is damaged or too large.
     """
     with _failures_named(path):
-        data = path.read_bytes()
+        data = read_file(path)
         _refuse_by_content(path, data)
         with Image.open(io.BytesIO(data), formats=_formats()) as opened:
             _refuse_bombs(path, opened.width * opened.height, len(data))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 from styl3r_cli.errors import InputError
@@ -14,6 +15,7 @@ JPEG = (".jpg", ".jpeg", ".jpe")
 HEIF = (".heic", ".heif", ".hif", ".avif")
 OTHERS = (".png", ".webp", ".tif", ".tiff", ".bmp", ".gif", ".ppm", ".pgm")
 PHOTO_SUFFIXES = frozenset((*JPEG, *HEIF, *OTHERS))
+ANY_DEPTH = "**"  # in a glob: folders in folders
 NAMED_IN_A_NOTE = 5  # longer lists of skipped files hide the message
 
 
@@ -48,14 +50,29 @@ def expand(
                 raise InputError(f"{argument}: no photos in this folder (JPEG, PNG, WebP, TIFF...)")
             found += [photo for photo in photos if photo not in found]
         elif argument not in listed and glob.has_magic(argument):
-            matches = (Path(match) for match in glob.glob(str(path), recursive=True))  # noqa: PTH207
-            photos = _photos_only(argument, matches, notes)
+            photos = _photos_only(argument, _matches(path), notes)
             if not photos:
                 raise InputError(f"{argument}: no photo matches this pattern")
             found += [photo for photo in photos if photo not in found]
         else:
             raise InputError(_not_found(argument, path))
     return found
+
+
+def _matches(pattern: Path) -> Iterator[Path]:
+    """What a glob matches; `**` enters no hidden folder, and no link, which may go round."""
+    if ANY_DEPTH not in pattern.parts:
+        yield from map(Path, glob.glob(str(pattern)))  # noqa: PTH207
+        return
+    plain = list(takewhile(lambda part: not glob.has_magic(part), pattern.parts))
+    rest = [p if p == ANY_DEPTH else re.sub(r"\*+", "*", p) for p in pattern.parts[len(plain) :]]
+    if rest[-1] == ANY_DEPTH:
+        rest.append("*")
+    folder = Path(*plain)
+    for path in folder.glob(str(Path(*rest))):
+        inside = path.relative_to(folder).parts
+        if not any(part.startswith(".") for part in inside):
+            yield path
 
 
 def _paths(arguments: Sequence[str], listed: Sequence[str]) -> Iterator[tuple[str, Path]]:

@@ -8,6 +8,7 @@ import re
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,18 @@ from styl3r_cli.cameras.json_values import FARTHEST, LARGEST_SIDE
 from styl3r_cli.cameras.stored import cameras_from_metadata, cameras_to_metadata
 from styl3r_cli.cameras.transforms import read_transforms
 from styl3r_cli.errors import InputError
-from styl3r_cli.formats import write_scene
+from styl3r_cli.formats import MODULES, encode_scene, read_scene, write_scene
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.photos.decode import decode
 
 Run = Callable[..., tuple[int, bytes, str]]
+
+
+def one_gaussian() -> Gaussians:
+    one = np.ones((1, 3), np.float32)
+    return Gaussians(one, one, np.eye(4, dtype=np.float32)[:1], one[:, 0], one)
+
+
 LONG = "a" * 300  # file systems take 255 bytes
 
 NAMES = [
@@ -87,6 +96,130 @@ def test_names_with_spaces_line_breaks_and_bytes_that_are_no_text(
     again = ("-o", folder / "t.ply", "--cameras", folder / "c.json")
     code, _, err = run("reconstruct", folder, *again)
     assert (code, "no camera" in err) == (0, False)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names")
+def test_scenes_of_such_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    odd = [tmp_path / os.fsdecode(b"a \xff\n\x1b[1m%d" % index) for index in range(2)]
+    scene, other = odd[0].with_suffix(".ply"), odd[1].with_suffix(".spz")
+    write_scene(scene, one_gaussian())
+    assert main.run(["convert", str(scene), str(other)]) == 0
+    assert main.run(["info", str(other), "--no-sizes", "--json"]) == 0
+    out, _ = capsys.readouterr()
+    assert json.loads(out)["path"] == os.fsencode(other).replace(b"\xff", b"?").decode()
+    assert main.run(["info", str(other), "--no-sizes"]) == 0
+    assert main.run(["info", f"{other}.gone.spz"]) == 3
+    out, err = capsys.readouterr()
+    assert "\x1b" not in out + err
+    assert err.count("\n") == 1
+
+
+# {bad} is what cannot be read; every place of a command where a file can be named.
+READERS = [
+    ("reconstruct {bad}.png photos/0.png -o x.ply", 3),
+    ("stylize photos -s {bad}.png -o x.ply", 3),
+    ("reconstruct photos -o x.ply --cameras {bad}.json", 3),
+    ("reconstruct photos -o x.ply --model {bad}", 4),
+    ("info {bad}.ply", 3),
+    ("convert {bad}.spz x.ply", 3),
+    ("compact {bad}.ply -o x.ply", 3),
+    ("render {bad}.ply -o x.png", 3),
+    ("render good.ply -o x.png --cameras {bad}.json", 3),
+    ("render good.ply -o x.png --path {bad}.json", 3),
+    ("render good.ply -o x.png --compare {bad}.ply", 3),
+]
+
+
+def device(path: Path) -> None:
+    """Read to its end, it would fill the memory."""
+    path.symlink_to("/dev/zero")
+
+
+def failing_file(path: Path) -> None:
+    """Looks like a file and cannot be read; what root may read, too."""
+    path.symlink_to("/proc/self/mem")
+
+
+def forbidden(path: Path) -> None:
+    path.touch(mode=0o000)
+
+
+def loop(path: Path) -> None:
+    path.symlink_to(path.name)
+
+
+def nothing(path: Path) -> None:
+    path.touch()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="devices and links are Linux's")
+@pytest.mark.parametrize("make", [device, failing_file, forbidden, loop, nothing])
+@pytest.mark.parametrize(("arguments", "expected"), READERS)
+def test_files_that_cannot_be_read(
+    photos: list[Path],
+    style: Path,
+    tiny_model: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    make: Callable[[Path], None],
+    arguments: str,
+    expected: int,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_scene(Path("good.ply"), one_gaussian())
+    Path("bad").mkdir()
+    for name in ("bad.png", "bad.json", "bad.ply", "bad.spz", "bad/manifest.json"):
+        make(tmp_path / name)
+    before = sorted(tmp_path.rglob("*"))
+    words = arguments.format(bad="bad").split()
+    if words[0] in ("stylize", "reconstruct"):
+        words += ["--fov", "50"] + ([] if "--model" in words else ["--model", str(tiny_model)])
+    assert main.run(words) == expected
+    *notes, error = capsys.readouterr().err.splitlines()
+    assert "bad" in error + "".join(notes)
+    assert "a bug" not in error
+    assert all("error" not in note for note in notes)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("suffix", MODULES)
+def test_scenes_under_a_wrong_suffix(tmp_path: Path, suffix: str) -> None:
+    """One clear line, or what is in it: never something else."""
+    scene = one_gaussian()
+    data = encode_scene(scene, {}, suffix).data
+    for other in MODULES:
+        path = tmp_path / f"a{other}"
+        path.write_bytes(data)
+        if other == suffix != ".points.glb":  # which is only written
+            np.testing.assert_allclose(read_scene(path).gaussians.means, scene.means, atol=1e-3)
+            continue
+        with suppress(InputError):  # a .glb is one in both of its suffixes, as a .ply is
+            np.testing.assert_allclose(read_scene(path).gaussians.means, scene.means, atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".png", ".webp", ".tiff"])
+def test_of_an_animation_the_first_frame_is_the_photo(tmp_path: Path, suffix: str) -> None:
+    frames = [Image.new("RGB", (40, 30), colour) for colour in ("#ff0000", "#00ff00", "#0000ff")]
+    path = tmp_path / f"a{suffix}"
+    lossless = {"lossless": True} if suffix == ".webp" else {}
+    frames[0].save(path, save_all=True, append_images=frames[1:], **lossless)
+    assert (np.asarray(decode(path).image) == (255, 0, 0)).all()
+    renamed = path.rename(tmp_path / "a.jpg")  # what it is counts, not what it is called
+    assert (np.asarray(decode(renamed).image) == (255, 0, 0)).all()
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"a":' * 200_000, '"' + "9" * 5000 + '"', "\xff"])
+def test_manifests_that_break_parsers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], photos: list[Path], text: str
+) -> None:
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m" / "manifest.json").write_bytes(text.encode("latin-1"))
+    words = ["reconstruct", str(photos[0].parent), "-o", str(tmp_path / "x.ply"), "--fov", "50"]
+    assert main.run([*words, "--model", str(tmp_path / "m")]) == 4
+    err = capsys.readouterr().err
+    assert "manifest.json: " in err
+    assert "a bug" not in err
 
 
 def transforms(**changes: Any) -> bytes:
@@ -168,9 +301,7 @@ def test_text_in_scenes_does_not_reach_the_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Sequences that command a terminal, and what is no text, are shown as such."""
-    one = np.ones((1, 3), np.float32)
-    scene = Gaussians(one, one, np.eye(4, dtype=np.float32)[:1], one[:, 0], one)
-    write_scene(tmp_path / "a.ply", scene, {"note": "\x1b]0;owned\x07 \ud800 \r\n"})
+    write_scene(tmp_path / "a.ply", one_gaussian(), {"note": "\x1b]0;owned\x07 \ud800 \r\n"})
     assert main.run(["info", str(tmp_path / "a.ply"), "--no-sizes"]) == 0
     out = capsys.readouterr().out
     assert r"note        \x1b]0;owned\x07 \ud800 \r\n" in out
@@ -189,3 +320,15 @@ def test_a_hundred_megapixels_in_a_few_kilobytes(run: Run, photos: list[Path]) -
     assert code == 0
     assert "left out: " in err
     assert "bomb.png: 200 megapixels in" in err
+
+
+@pytest.mark.slow
+def test_an_honest_photo_of_a_hundred_megapixels(tmp_path: Path) -> None:
+    """It is read, in 5 bytes a pixel; a grey picture, so that the file is small to make."""
+    resource = pytest.importorskip("resource")
+    path = tmp_path / "a.pgm"
+    path.write_bytes(b"P5 10000 10000 255\n")
+    os.truncate(path, path.stat().st_size + 10**8)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert decode(path).image.size == (10_000, 10_000)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 700_000  # kB

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -44,12 +45,44 @@ def test_file_with_glob_characters_in_its_name(folder: Path) -> None:
     assert names(expand([str(folder / "a[1].jpg")])) == ["a[1].jpg"]
 
 
+@pytest.fixture
+def deep(tmp_path: Path) -> Path:
+    """Photos in folders in folders, and links that go round: 2^40 ways to the same photo."""
+    for name in ("top.jpg", "a/one.jpg", "a/b/two.jpg", "a/b/note.txt", ".hidden/three.jpg"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"x")
+    for name in ("round", "a/again", "a/b/back"):
+        (tmp_path / name).symlink_to(tmp_path, target_is_directory=True)
+    return tmp_path
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+@pytest.mark.parametrize(
+    ("pattern", "expected"),
+    [
+        ("**", ["one.jpg", "two.jpg", "top.jpg"]),
+        ("**/*.jpg", ["one.jpg", "two.jpg", "top.jpg"]),
+        ("**/t**.jpg", ["two.jpg", "top.jpg"]),
+        ("a/**/*", ["one.jpg", "two.jpg"]),
+        ("[a]/**/two.jpg", ["two.jpg"]),
+    ],
+)
+def test_globs_of_any_depth_end(
+    deep: Path, pattern: str, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = expand([str(deep / pattern)])
+    assert sorted(names(found)) == sorted(expected)
+    monkeypatch.chdir(deep)
+    assert [path.absolute() for path in expand([pattern])] == found
+
+
 @pytest.mark.parametrize(
     ("argument", "words"),
     [
         ("gone.jpg", "gone.jpg: no such file or folder"),
         ("nowhere/gone.jpg", r"there is no folder .*nowhere"),
         ("*.tiff", "no photo matches this pattern"),
+        ("**/*.tiff", "no photo matches this pattern"),
         ("sub.jpg", "no photos in this folder"),
     ],
 )
