@@ -92,6 +92,7 @@ class LazyGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> object:
         """As click does, but Ctrl-C prints no empty line, and a closed pipe has its own code."""
+        memory.check_limit(memory.LEAST_AT_ALL)
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:

@@ -22,8 +22,10 @@ PHRASES = (
 )
 NOT_MEMORY = "static tls block"  # "cannot allocate memory in" it: a limit of the loader's
 # Bytes of address space, which is several times the memory that is used: libraries and the stacks
-# of threads count in full. Both were measured on two cores; under less, libraries in C crash or
-# wait for ever. Three views of 64x64 and their cameras take 1.1 GB, a frame of 64x64 0.69 GB.
+# of threads count in full. All were measured on two cores; under less, libraries in C crash or
+# wait for ever. Three views of 64x64 and their cameras take 1.1 GB, a frame of 64x64 0.69 GB;
+# under 0.16 GB numpy does not load, and its own lines on that end in a signal as of Ctrl-C.
+LEAST_AT_ALL = 200 << 20
 LEAST_FOR_NETWORK = 1200 << 20
 LEAST_TO_DRAW = 700 << 20
 MEGABYTE = 1 << 20

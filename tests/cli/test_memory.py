@@ -124,5 +124,9 @@ def test_a_limit_that_is_too_low_is_said_before_the_model_loads(
     assert (code, out, err.count("\n")) == (1, b"", 1)
     assert "out of memory: this process may use 500 MB of addresses, and needs 1200 MB" in err
     assert not (tmp_path / "x.ply").exists()
+    monkeypatch.setattr(memory, "address_space", lambda: 130 << 20)
+    assert (
+        main.run(["info", str(tmp_path / "x.ply")]) == ExitCode.INTERNAL
+    )  # before it is looked for
     monkeypatch.setattr(memory, "address_space", lambda: None)
     memory.check_limit(memory.LEAST_FOR_NETWORK)

@@ -167,7 +167,7 @@ def test_two_write_the_same(start: Start, out: Path, good: dict[str, bytes]) -> 
     assert litter(out) == []
 
 
-@pytest.mark.parametrize("megabytes", [100, 200, 400, 600, 800, 1000, 1200])
+@pytest.mark.parametrize("megabytes", [100, 130, 200, 400, 600, 800, 1000, 1200])
 def test_memory_that_ends(start: Start, out: Path, good: dict[str, bytes], megabytes: int) -> None:
     """However much there is: done, or one line and nothing written; never a traceback."""
     code, err = ended(start(out, preexec_fn=limited(megabytes)))
@@ -177,8 +177,7 @@ def test_memory_that_ends(start: Start, out: Path, good: dict[str, bytes], megab
     if code == 0:
         assert err == ""
     elif code > 0 or megabytes << 20 < LEAST_FOR_NETWORK:  # more, and a library in C may crash
-        assert (code, "memory" in err.lower()) == (1, True)
-        assert one_line(err) or err.startswith("OpenBLAS error: ")  # numpy's own, where it ends
+        assert (code, one_line(err), "memory" in err) == (1, True, True)
 
 
 @pytest.mark.parametrize("megabytes", [200, 450, 550, 700])
