@@ -66,6 +66,12 @@ class ModelError(Styl3rError):
     exit_code = ExitCode.MODEL
 
 
+class PartialError(Styl3rError):
+    """Some results of several are there, others could not be made."""
+
+    exit_code = ExitCode.PARTIAL
+
+
 class OutputError(Styl3rError):
     """A result cannot be written where the user asked for it."""
 

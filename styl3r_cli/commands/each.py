@@ -18,7 +18,7 @@ PLACE = "{style}"  # in an output's name, where the style's name goes
 def one_by_one(request: SceneRequest) -> list[SceneRequest]:
     """The request for each of its scenes: with `--each` one per style, else itself.
 
-    Cameras are the same for every style, so only the first of them writes their file.
+    None of several has the file of cameras: they are the same for every style.
     """
     if not request.each:
         return [request]
@@ -29,11 +29,9 @@ def one_by_one(request: SceneRequest) -> list[SceneRequest]:
             output=str(_named(request.scene_path, name)),
             video=_named(request.video, name),
             preview=_named(request.preview, name),
-            cameras_out=request.cameras_out if index == 0 else None,
+            cameras_out=None,
         )
-        for index, (style, name) in enumerate(
-            zip(request.styles, _names(request.styles), strict=True)
-        )
+        for style, name in zip(request.styles, _names(request.styles), strict=True)
     ]
 
 

@@ -60,11 +60,20 @@ class SceneRequest:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything that is read before the network runs."""
+    """Everything that is read before the network runs.
+
+    `styles` has None where `each` is asked for and a picture cannot be used; `left_out` says why.
+    """
 
     stylizer: Stylizer
     photos: Photos
-    styles: list[Style]
+    styles: list[Style | None]
+    left_out: list[str]
+
+    @property
+    def usable_styles(self) -> list[Style]:
+        """Those that could be read."""
+        return [style for style in self.styles if style is not None]
 
 
 def load_inputs(request: SceneRequest, console: Console) -> Inputs:
@@ -90,7 +99,7 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
         settings = request.model, request.device, request.threads
         loading = pool.submit(Stylizer, *settings, one_scene=True)
         with console.stage("photos"):
-            styles = [load_style(style.path) for style in request.styles]
+            styles, left_out = _load_styles(request)
             size = (
                 request.size[::-1] if request.size else network_size(request.quality, DEFAULT_SIZE)
             )
@@ -101,9 +110,30 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
     if request.size is None and wanted != size:
         with console.stage("photos"):
             photos = load(wanted)
-    for note in [*photos.notes, *(note for style in styles for note in style.notes)]:
+    for note in [*photos.notes, *(note for style in styles if style for note in style.notes)]:
         console.note(note)
-    return Inputs(stylizer, photos, styles)
+    return Inputs(stylizer, photos, styles, left_out)
+
+
+def _load_styles(request: SceneRequest) -> tuple[list[Style | None], list[str]]:
+    """The styles; of a batch of scenes, those that can be used, and what is wrong with others.
+
+    Raises:
+        InputError: a style that is needed cannot be used; of a batch, every one.
+    """
+    if not request.each:
+        return [load_style(style.path) for style in request.styles], []
+    styles: list[Style | None] = []
+    errors: list[InputError] = []
+    for style in request.styles:
+        try:
+            styles.append(load_style(style.path))
+        except InputError as error:
+            styles.append(None)
+            errors.append(error)
+    if len(errors) == len(styles):
+        raise errors[0]
+    return styles, [str(error) for error in errors]
 
 
 def _listed(request: SceneRequest) -> list[str]:
@@ -150,7 +180,10 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
         read.append(request.cameras)
     if request.each:
         check_each(request)
-    check_outputs([path for one in one_by_one(request) for path in outputs_of(one)], read)
+    outputs = [path for one in one_by_one(request) for path in outputs_of(one)]
+    if request.each and request.cameras_out:  # one file for all of them
+        outputs.append(request.cameras_out)
+    check_outputs(outputs, read)
     for style in request.styles:
         if not style.path.exists():
             raise InputError(f"{style.path}: no such style picture")

@@ -16,6 +16,7 @@ from styl3r_cli.commands.options import LOOP_FPS, LOOP_FRAMES
 from styl3r_cli.commands.report import print_report, rounded, scene_report
 from styl3r_cli.commands.request import Inputs, SceneRequest, load_inputs
 from styl3r_cli.console import Console
+from styl3r_cli.errors import PartialError
 from styl3r_cli.files import write_stdout
 from styl3r_cli.formats import encode_scene, write_scene
 from styl3r_cli.gaussians import Gaussians
@@ -33,6 +34,7 @@ def make_scene(request: SceneRequest) -> None:
     """Run the network and write every result that was asked for.
 
     Raises:
+        PartialError: a style of several scenes could not be used; the other scenes are there.
         Styl3rError: an input, the model or an output is unusable.
     """
     console = Console(request.quiet)
@@ -47,10 +49,17 @@ def make_scene(request: SceneRequest) -> None:
     reports = []
     for index, one in enumerate(one_by_one(request)):
         styles = [inputs.styles[index]] if request.each else inputs.styles
+        if None in styles:
+            continue
+        if not reports:  # cameras are the same for every style
+            one = replace(one, cameras_out=request.cameras_out)
         reports.append(_make_one(one, replace(inputs, styles=styles), painter, console))
     if request.json:
         together = {"shared_timings": shared, "scenes": reports}
         print_report(together if request.each else reports[0])
+    if inputs.left_out:
+        count = f"{len(inputs.left_out)} of {len(inputs.styles)} styles"
+        raise PartialError(f"{count} could not be used: {'; '.join(inputs.left_out)}")
 
 
 def _make_one(
@@ -59,7 +68,7 @@ def _make_one(
     """Colour the scene and write its results; returns the report."""
     earlier, start = dict(console.timings), console.elapsed()
     with console.stage("appearance"):
-        pictures = [style.image for style in inputs.styles]
+        pictures = [style.image for style in inputs.usable_styles]
         weights = [style.weight for style in request.styles]
         gaussians, repairs = painter(pictures, weights, request.strength)
     if str(repairs):
@@ -154,8 +163,8 @@ def _draw_sheet(
     preview = Preview(
         images=painter.scene.images,
         names=inputs.photos.names,
-        styles=[style.image for style in inputs.styles],
-        style_names=[style.name for style in inputs.styles],
+        styles=[style.image for style in inputs.usable_styles],
+        style_names=[style.name for style in inputs.usable_styles],
         result=gaussians,
         own=own,
         cameras=painter.recovered.cameras,

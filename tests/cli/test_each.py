@@ -98,3 +98,34 @@ def test_outputs_without_a_place_for_the_style_are_refused(
     assert code == 2
     assert told in err
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_style_that_cannot_be_used_does_not_stop_the_others(
+    run: Run, photos: list[Path], styles: list[Path], tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"no picture")
+    folder = tmp_path / "out"
+    command = ("stylize", *photos, "--each", "-o", folder / "{style}.ply", "--json")
+    given = [broken, styles[0], styles[2]]
+    cameras = tmp_path / "cameras.json"
+    code, out, err = run(*command, *options(given), "--cameras-out", cameras)
+    assert (code, cameras.exists()) == (5, True)
+    assert sorted(path.name for path in folder.iterdir()) == ["style 0.ply", "style 2.ply"]
+    told = json.loads(out)["scenes"]
+    assert [each["styles"][0]["path"] for each in told] == [str(styles[0]), str(styles[2])]
+    (line,) = [line for line in err.splitlines() if "error" in line]
+    assert "1 of 3 styles" in line
+    assert str(broken) in line
+
+
+def test_no_usable_style_is_a_bad_input(run: Run, photos: list[Path], tmp_path: Path) -> None:
+    broken = [tmp_path / f"broken {n}.png" for n in range(2)]
+    for path in broken:
+        path.write_bytes(b"no picture")
+    code, _, err = run(
+        "stylize", *photos, *options(broken), "--each", "-o", tmp_path / "out" / "{style}.ply"
+    )
+    assert code == 3
+    assert str(broken[0]) in err
+    assert not list((tmp_path / "out").glob("*"))
