@@ -46,7 +46,7 @@ def make_scene(request: SceneRequest) -> None:
     fitted = FITTED[request.quality]
     painter = Painter(inputs.stylizer, scene, recovered, request.threads, fitted)
     shared = rounded(console.timings | {"total": console.elapsed()})
-    reports = []
+    reports: list[dict[str, Any]] = []
     for index, one in enumerate(one_by_one(request)):
         styles = [inputs.styles[index]] if request.each else inputs.styles
         if None in styles:
