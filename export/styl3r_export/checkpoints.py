@@ -124,7 +124,8 @@ def _load_strictly(
         message = f"{path}: not the weights of {model.config.name}: {report.summary()}"
         raise CheckpointError(message, report)
     report.differing_aliases = differing_aliases(named)
-    state = {n: named[canonical(n)].float() for n in model.state_dict()}
+    # Training leaves convolutions with their channels innermost, which tracing does not expect.
+    state = {n: named[canonical(n)].float().contiguous() for n in model.state_dict()}
     model.load_state_dict(state, strict=True, assign=True)
     report.loaded = sorted(state)
     return model, report

@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 from shared_reference import reference_folder
 
+from styl3r_export.checkpoints import load_any
 from styl3r_export.curriculum import data, stages
 from styl3r_export.curriculum.novel_views import NovelViewStep, quaternions
 from styl3r_export.curriculum.perceptual import SlimVgg, style_distance
@@ -19,6 +20,7 @@ from styl3r_export.curriculum.stylization import (
     view_agreement,
 )
 from styl3r_export.curriculum.trainer import Schedule, Trainer, load_checkpoint
+from styl3r_export.model import build
 from styl3r_export.model.rotations import rotation_matrix
 from styl3r_export.scenes.shards import Plan, write_shard
 from styl3r_export.scenes.textures import TextureBank
@@ -95,6 +97,15 @@ def test_geometry_stage_trains_resumes_and_leaves_colours_alone(shards, tmp_path
     second.run(batches, stages.geometry_step, log_every=1)
     assert load_checkpoint(tmp_path / "last.pt")["step"] == 3
     assert (tmp_path / "log.csv").read_text().count("\n") == 4
+
+
+def test_checkpoints_of_a_run_can_be_exported(tmp_path):
+    """Weights lie in memory as in a new network: traced graphs compare layouts."""
+    trainer(tmp_path, steps=1).save()
+    exported = load_any(tmp_path / "last.pt")
+    assert all(parameter.is_contiguous() for parameter in exported.parameters())
+    new = build("mini")
+    assert [p.stride() for p in exported.parameters()] == [p.stride() for p in new.parameters()]
 
 
 def test_novel_view_stage_reaches_opacities(shards, tmp_path):
