@@ -76,8 +76,14 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def train(monkeypatch: pytest.MonkeyPatch, *words: object) -> None:
+    """Run the command here; what it sets for its own process is set back."""
     monkeypatch.setattr(sys, "argv", ["curriculum", *map(str, words)])
-    command.main()
+    threads = torch.get_num_threads()
+    try:
+        command.main()
+    finally:
+        torch.set_flush_denormal(False)
+        torch.set_num_threads(threads)
 
 
 def table(path: Path) -> list[dict[str, str]]:
