@@ -8,12 +8,11 @@ import click
 
 from styl3r_cli.commands.bench import ListOf
 from styl3r_cli.commands.options import UserPath, quiet_option
+from styl3r_cli.tradeoff.points import COLOURS, DRAWINGS
 
 PRECISIONS = ("w8", "w4", "int8", "int8-static")
 SIZES = (256, 224, 192, 160, 128)
 BUDGETS = (100.0, 50.0, 25.0, 10.0, 5.0, 2.0)
-DRAWINGS = ("exact", "antialias", "balanced", "draft")
-COLOURS = ("fitted", "plain")
 REPEATS = 3
 
 HELP = """\
