@@ -16,7 +16,7 @@ from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
 
 if TYPE_CHECKING:  # they bring numba, which takes a while
     from styl3r_cli.cameras.camera import Camera
-    from styl3r_cli.compaction.tracing import Trace
+    from styl3r_cli.fitting.tracing import Trace
 
 # Steps of the colours' least squares. On real pairs the third still sharpens pictures from new
 # cameras, the fourth and fifth only those from the views' own.
@@ -97,7 +97,7 @@ def warm_up() -> None:
 
 
 def _look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:
-    from styl3r_cli.compaction.witnesses import look
+    from styl3r_cli.fitting.tracing import look
 
     return look(gaussians, cameras, threads)
 
@@ -109,7 +109,7 @@ def _fitted(
     threads: int | None,
 ) -> Gaussians:
     """The Gaussians in the colours that show the pictures (P, 3) best."""
-    from styl3r_cli.compaction.refit import Target, refit
+    from styl3r_cli.fitting.refit import Target, refit
 
     # What the scene does not cover stays uncovered.
     targets = [

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.compaction.merging import merge
-from styl3r_cli.compaction.refit import Target, refit, squared_errors
 from styl3r_cli.compaction.survey import Survey
-from styl3r_cli.compaction.tracing import Trace
 from styl3r_cli.compaction.tree import Cut, cut_tree
-from styl3r_cli.compaction.witnesses import look
+from styl3r_cli.fitting.refit import Target, refit, squared_errors
+from styl3r_cli.fitting.tracing import Trace, look
 from styl3r_cli.gaussians import FloatArray, Gaussians
 
 # Steps of the colours' least squares: the fifth changes a picture by less than 0.1 dB.

@@ -18,9 +18,9 @@ from styl3r_cli.compaction.compaction import (
     attempt,
     decibels,
 )
-from styl3r_cli.compaction.refit import squared_errors
 from styl3r_cli.compaction.survey import Survey, survey
-from styl3r_cli.compaction.witnesses import look
+from styl3r_cli.fitting.refit import squared_errors
+from styl3r_cli.fitting.tracing import look
 from styl3r_cli.gaussians import Gaussians
 
 # A budget is reached by way of coarser cuts, whose measured errors say where to split: with none

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.compaction.refit import Target
-from styl3r_cli.compaction.tracing import SMALLEST_SHARE
 from styl3r_cli.compaction.tree import Tree, build_tree
-from styl3r_cli.compaction.witnesses import look
+from styl3r_cli.fitting.refit import Target
+from styl3r_cli.fitting.tracing import SMALLEST_SHARE, look
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.splatting.constants import ALPHA_MIN
 

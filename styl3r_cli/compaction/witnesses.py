@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
 
 from styl3r_cli.cameras import poses
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.compaction.tracing import Trace, trace
 from styl3r_cli.frames import reduced
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.splatting.compiler import default_threads
-from styl3r_cli.splatting.projection import near_plane
 
 # The network makes scenes of 256x256 pixels a view from at most 8 views. What is larger or more is
 # taken in part: a compaction stays a matter of seconds, also for a film's camera file.
@@ -51,11 +47,3 @@ def in_between(views: Sequence[Camera], places: Sequence[float]) -> list[Camera]
         for a, b in pairwise(views)
         for place in places
     ]
-
-
-def look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:
-    """Trace every camera's frame, several at a time."""
-    near = near_plane(gaussians.means)
-    threads = default_threads() if threads is None else threads
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        return list(pool.map(lambda camera: trace(gaussians, camera, near), cameras))

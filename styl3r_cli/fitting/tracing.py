@@ -10,6 +10,8 @@ all, and turn "which colours look most like that picture" into linear least squa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting.blending import power_of_two
-from styl3r_cli.splatting.compiler import kernel
+from styl3r_cli.splatting.compiler import default_threads, kernel
 from styl3r_cli.splatting.constants import (
     ALPHA_MAX,
     LOG2_INVERSE_ALPHA_MIN,
@@ -26,7 +28,7 @@ from styl3r_cli.splatting.constants import (
     TILE,
     TRANSMITTANCE_MIN,
 )
-from styl3r_cli.splatting.projection import LOG_OPACITY, A, B, C, U, V, project
+from styl3r_cli.splatting.projection import LOG_OPACITY, A, B, C, U, V, near_plane, project
 from styl3r_cli.splatting.tiles import tile_lists
 
 # A share that is smaller moves no 8-bit value by a quarter of a step; leaving it out of the matrix
@@ -118,6 +120,14 @@ def trace(gaussians: Gaussians, camera: Camera, near: float) -> Trace:
         found.append([each[:needed] for each in entries])
     pixels, members, shares = (np.concatenate(each) for each in zip(*found, strict=True))
     return Trace(pixels, members, shares, picture, np.abs(through), len(gaussians))
+
+
+def look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:
+    """Trace every camera's frame, several at a time."""
+    near = near_plane(gaussians.means)
+    threads = default_threads() if threads is None else threads
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        return list(pool.map(lambda camera: trace(gaussians, camera, near), cameras))
 
 
 @kernel

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.compaction.tracing import SMALLEST_SHARE, trace
+from styl3r_cli.fitting.tracing import SMALLEST_SHARE, trace
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.splatting import render
 from styl3r_cli.splatting.projection import near_plane

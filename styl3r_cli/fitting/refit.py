@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from styl3r_cli.compaction.tracing import Trace
+from styl3r_cli.fitting.tracing import Trace
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.splatting.compiler import default_threads
 
