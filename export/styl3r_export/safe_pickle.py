@@ -124,7 +124,7 @@ def read_checkpoint(path: Path) -> Any:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; name a checkpoint")
-    zipped = zipfile.is_zipfile(path)  # torch.save's format since 2020
+    zipped = _is_zipped(path)
     try:
         with warnings.catch_warnings():  # about pickles that the second reader may well read
             warnings.simplefilter("ignore")
@@ -144,3 +144,11 @@ def read_checkpoint(path: Path) -> Any:
     except Exception as error:  # a damaged pickle can raise anything
         message = f"{path}: damaged, or not a torch checkpoint ({error})"
         raise InputError(f"{message}; download it again") from error
+
+
+def _is_zipped(path: Path) -> bool:
+    """Whether it is of torch.save's format since 2020."""
+    try:
+        return zipfile.is_zipfile(path)
+    except (zipfile.BadZipFile, OSError):  # raised for ends that speak of several disks
+        return False

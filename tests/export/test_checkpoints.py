@@ -277,7 +277,12 @@ def test_the_restricted_reader_gives_the_same_tensors_as_torch(
     assert found["view"][1, 0] == 100  # one storage, as in the file
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not a zip", b"text", b"\x80\x04N."])
+SEVERAL_DISKS = b"PK\6\7" + b"\0" * 12 + b"\2\0\0\0" + b"PK\5\6" + b"\0" * 18  # found by fuzzing
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"PK\x03\x04 not a zip", b"text", b"\x80\x04N.", SEVERAL_DISKS]
+)
 def test_other_files_are_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.ckpt"
     path.write_bytes(content)

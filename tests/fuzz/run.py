@@ -24,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 LONGEST = 5  # seconds for one file
 MOST_MEMORY = 1024  # megabytes of the process
 LARGEST = 1 << 16  # bytes of a mutated file
+EVERY = 10_000  # files, a line about progress
 SPLICES = (
     b"\0" * 4,
     b"\xff" * 4,
@@ -69,10 +70,10 @@ def guided(options: argparse.Namespace) -> bool:
     except ImportError:
         return False
     with atheris.instrument_imports(include=["styl3r_cli", "styl3r_export", "PIL", "zipfile"]):
-        from readers import READERS, seeds
+        from readers import READERS, SCRATCH, seeds
 
         good_files(options.reader)  # imports the rest: only what is imported here is watched
-    reader, refused, read = READERS[options.reader], 0, 0
+    reader, refused, read, begin = READERS[options.reader], 0, 0, time.process_time()
 
     def one(data: bytes) -> None:
         nonlocal refused, read
@@ -80,14 +81,15 @@ def guided(options: argparse.Namespace) -> bool:
             read += 1
         else:
             refused += 1
-        if (read + refused) % 10_000 == 0:
-            print(f"{options.reader}: {read} read, {refused} refused", flush=True)
+        if (read + refused) % EVERY == 0:
+            used = f"{time.process_time() - begin:.0f} s of processor time"
+            print(f"{options.reader}: {read} read, {refused} refused, {used}", flush=True)
 
     options.findings.mkdir(exist_ok=True)
     limits = [f"-runs={options.runs or -1}", f"-max_total_time={options.seconds}"]
     limits += [f"-timeout={LONGEST}", f"-rss_limit_mb={MOST_MEMORY}", f"-max_len={LARGEST}"]
     limits += [f"-seed={options.seed}", f"-artifact_prefix={options.findings}/{options.reader}-"]
-    grown = tempfile.mkdtemp(prefix="styl3r-fuzz-")  # what coverage finds worth keeping
+    grown = tempfile.mkdtemp(prefix="styl3r-fuzz-", dir=SCRATCH.parent)  # what is worth keeping
     atheris.Setup(
         [sys.argv[0], *limits, "-print_final_stats=1", grown, str(seeds(options.reader))], one
     )
