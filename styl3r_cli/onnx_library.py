@@ -16,25 +16,32 @@ DAMAGED = "onnxruntime is damaged ({}); reinstall it: pip install --force-reinst
 _importing = Lock()
 
 
-def onnxruntime() -> ModuleType:
-    """The module, complete.
+def onnxruntime(part: str = "") -> ModuleType:
+    """The module, complete, or one of its parts.
 
     The two graphs of a model load in two threads. Where Python imports a module in both at once
     and that fails in one, the other is given what there was of it; hence one after the other.
+
+    Args:
+        part: a module in it, such as "quantization".
 
     Raises:
         OutOfMemoryError: it does not fit into memory.
         ModelError: it is missing or damaged.
     """
     with _importing:
-        try:
-            module = import_module("onnxruntime")
-        except Exception as error:  # loaders, and the module's own checks, raise what they like
-            if memory.ended(error):
-                raise OutOfMemoryError("out of memory: onnxruntime does not fit into it") from error
-            reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-            raise ModelError(DAMAGED.format(reason)) from error
-    missing = [name for name in NEEDED if not hasattr(module, name)]
-    if missing:
-        raise ModelError(DAMAGED.format(f"it has no {missing[0]}"))
-    return module
+        module = _imported("onnxruntime")
+        missing = [name for name in NEEDED if not hasattr(module, name)]
+        if missing:
+            raise ModelError(DAMAGED.format(f"it has no {missing[0]}"))
+        return _imported(f"onnxruntime.{part}") if part else module
+
+
+def _imported(name: str) -> ModuleType:
+    try:
+        return import_module(name)
+    except Exception as error:  # loaders, and the module's own checks, raise what they like
+        if memory.ended(error):
+            raise OutOfMemoryError("out of memory: onnxruntime does not fit into it") from error
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ModelError(DAMAGED.format(reason)) from error

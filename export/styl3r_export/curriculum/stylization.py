@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from styl3r_cli.onnx_library import onnxruntime
 from styl3r_export.curriculum.data import Batch
 from styl3r_export.curriculum.geometry import OCCLUSION, to_world
 from styl3r_export.curriculum.perceptual import content_distance, style_distance
@@ -51,12 +52,11 @@ class Teacher:
     """MicroAST (Wang et al., AAAI 2023; MIT) as a graph: a picture in a style, frame by frame."""
 
     def __init__(self, graph: Path, threads: int) -> None:
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
+        ort = onnxruntime()
+        options = ort.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
-        self.session = onnxruntime.InferenceSession(graph, options)
+        self.session = ort.InferenceSession(graph, options)
 
     def __call__(
         self, images: Float[Tensor, "batch views 3 H W"], styles: Float[Tensor, "batch 3 h w"]

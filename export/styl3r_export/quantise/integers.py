@@ -11,6 +11,7 @@ import numpy as np
 import onnx
 
 from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.onnx_library import onnxruntime
 
 Feeds = dict[str, FloatArray]
 
@@ -20,8 +21,7 @@ FLOAT32_ACTIVATIONS = 1  # MatMulNBits' accuracy level: weights are widened, sum
 
 def pack_matrices(model: onnx.ModelProto, nodes: Sequence[str]) -> onnx.ModelProto:
     """Matrices in 4 bits (MatMulNBits)."""
-    from onnxruntime.quantization import matmul_nbits_quantizer as nbits
-
+    nbits = onnxruntime("quantization.matmul_nbits_quantizer")
     config = nbits.DefaultWeightOnlyQuantConfig(
         block_size=BLOCK, is_symmetric=False, accuracy_level=FLOAT32_ACTIVATIONS, bits=4
     )
@@ -30,7 +30,8 @@ def pack_matrices(model: onnx.ModelProto, nodes: Sequence[str]) -> onnx.ModelPro
     quantiser = nbits.MatMulNBitsQuantizer(model, nodes_to_exclude=left_out, algo_config=config)
     with _quiet():
         quantiser.process()
-    return quantiser.model.model
+    packed: onnx.ModelProto = quantiser.model.model
+    return packed
 
 
 def multiply_integers(model: onnx.ModelProto, nodes: Sequence[str], path: Path) -> None:
@@ -41,15 +42,14 @@ def multiply_integers(model: onnx.ModelProto, nodes: Sequence[str], path: Path) 
         nodes: the products' names.
         path: where the result is written.
     """
-    from onnxruntime.quantization import QuantType, quantize_dynamic
-
+    quantization = onnxruntime("quantization")
     with _quiet():
-        quantize_dynamic(
+        quantization.quantize_dynamic(
             model,
             path,
             op_types_to_quantize=["MatMul"],
             per_channel=True,
-            weight_type=QuantType.QInt8,
+            weight_type=quantization.QuantType.QInt8,
             nodes_to_quantize=list(nodes),
         )
 
@@ -65,18 +65,17 @@ def calibrate_convolutions(
         feeds: the graph's inputs, one for each group of photos.
         path: where the result is written.
     """
-    from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
-
+    quantization = onnxruntime("quantization")
     with _quiet():
-        quantize_static(
+        quantization.quantize_static(
             model,
             path,
-            _Reader(feeds),  # type: ignore[arg-type]
-            quant_format=QuantFormat.QDQ,
+            _Reader(feeds),
+            quant_format=quantization.QuantFormat.QDQ,
             op_types_to_quantize=["Conv"],
             per_channel=True,
-            activation_type=QuantType.QUInt8,
-            weight_type=QuantType.QInt8,
+            activation_type=quantization.QuantType.QUInt8,
+            weight_type=quantization.QuantType.QInt8,
             nodes_to_quantize=list(nodes),
         )
 
