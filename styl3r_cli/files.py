@@ -42,10 +42,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
         if _written_directly(target):
             yield target
             return
-        temporary = _create_beside(target)
+        temporary = _name_beside(target)
     except OSError as error:
         raise OutputError(_cannot_write(path, error)) from error
     try:
+        _create(temporary, target)  # in here, as Ctrl-C may come as soon as it is there
         yield temporary
         _publish(temporary, target)
     except BaseException as error:
@@ -145,16 +146,18 @@ def _written_directly(target: Path) -> bool:
     return not stat.S_ISREG(mode)
 
 
-def _create_beside(target: Path) -> Path:
+def _name_beside(target: Path) -> Path:
     if not target.parent.is_dir():
         raise OutputError(f"cannot write {target}: the folder {target.parent} does not exist")
     if target.exists() and not os.access(target, os.W_OK):
         raise OutputError(f"cannot write {target}: the file is write-protected")
-    temporary = target.with_name(f"{TEMP_PREFIX}{secrets.token_hex(6)}{target.suffix}")
+    return target.with_name(f"{TEMP_PREFIX}{secrets.token_hex(6)}{target.suffix}")
+
+
+def _create(temporary: Path, target: Path) -> None:
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, TEMP_MODE))
     if target.exists():
         temporary.chmod(stat.S_IMODE(target.stat().st_mode))
-    return temporary
 
 
 def _publish(temporary: Path, target: Path) -> None:

@@ -47,6 +47,22 @@ def test_any_failure_keeps_the_old_file(tmp_path: Path, error: BaseException) ->
     assert listing(tmp_path) == ["scene.ply"]
 
 
+def test_ctrl_c_as_soon_as_the_temporary_file_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    really_open = os.open
+
+    def interrupted(*arguments: object) -> int:
+        os.close(really_open(*arguments))  # type: ignore[arg-type]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "open", interrupted)
+    with pytest.raises(KeyboardInterrupt), atomic_write(tmp_path / "a.ply"):
+        pass
+    monkeypatch.undo()
+    assert listing(tmp_path) == []
+
+
 def test_full_disk_becomes_one_clear_line(tmp_path: Path) -> None:
     def full() -> None:
         with atomic_write(tmp_path / "a.ply"):
