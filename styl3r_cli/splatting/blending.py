@@ -15,8 +15,9 @@ for any size of tiles.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from styl3r_cli.splatting.compiler import inlined, kernel
+from styl3r_cli.splatting.compiler import inlined, kernel, merged
 from styl3r_cli.splatting.constants import (
     ALPHA_MAX,
     LOG2_INVERSE_ALPHA_MIN,
@@ -74,20 +75,23 @@ def power_of_two(t):
     return p * p
 
 
-@inlined
+@merged
 def start_tile(state, live, x0, y0, width, height, tile):
     """Empty the planes. Pixels outside the frame are finished (transmittance below 0)."""
-    across = tile // LANES
-    state[:] = _ZERO
-    for k in range(len(live)):
-        live[k] = True
-        inside = width - x0 - k % across * LANES if y0 + k // across < height else 0
-        base = np.uintp(k) * _SEGMENT + _T
-        for j in range(LANES):
-            state[base + np.uintp(j)] = _ONE if j < inside else -_ONE
+    for i in range(len(state)):
+        state[np.uintp(i)] = _ZERO
+    segment = np.uintp(0)
+    for y in range(y0, y0 + tile):
+        right = width if y < height else 0
+        for x in range(x0, x0 + tile, LANES):
+            live[segment] = True
+            base = segment * _SEGMENT + _T
+            for j in range(LANES):
+                state[base + np.uintp(j)] = _ONE if x + j < right else -_ONE
+            segment += np.uintp(1)
 
 
-@inlined
+@merged
 def still_live(state, live, segment, plane):
     """Note which segments have unfinished pixels; whether any has.
 
@@ -99,8 +103,9 @@ def still_live(state, live, segment, plane):
     """
     some = False
     for k in range(len(live)):
+        k = np.uintp(k)
         if live[k]:
-            base = np.uintp(k) * segment + plane
+            base = k * segment + plane
             unfinished = False
             for j in range(LANES):
                 unfinished |= state[base + np.uintp(j)] > _ZERO
@@ -133,12 +138,16 @@ def _blend_segment(state, base, p, a, log_alpha, red, green, blue, z):
 
 
 @inlined
-def _blend_tile(state, live, x0, y0, tile, members, rects, records, colours):
+def _blend_tile(state, live, x0, y0, tile, begin, end, members, rects, records, colours):
     across = tile // LANES
-    for n in range(len(members)):
-        if n % CHECK_EVERY == CHECK_EVERY - 1 and not still_live(state, live, _SEGMENT, _T):
-            return
-        g = members[n]
+    due = CHECK_EVERY
+    for n in range(begin, end):
+        due -= 1
+        if due == 0:
+            due = CHECK_EVERY
+            if not still_live(state, live, _SEGMENT, _T):
+                return
+        g = np.uintp(members[np.uintp(n)])
         u, v, a, b, c = records[g, U], records[g, V], records[g, A], records[g, B], records[g, C]
         log_opacity, z = records[g, LOG_OPACITY], np.float32(records[g, Z])
         red, green = clamp(colours[g, 0], _ZERO, _HIGHEST), clamp(colours[g, 1], _ZERO, _HIGHEST)
@@ -160,29 +169,36 @@ def _blend_tile(state, live, x0, y0, tile, members, rects, records, colours):
                 )  # fmt: skip
 
 
-@inlined
-def _finish_tile(state, planes, x0, y0, tile):
+@merged
+def _finish_tile(state, planes, x0, y0, width, height, tile):
     """Write a tile's planes to the frame's."""
-    across = tile // LANES
-    for k in range(tile * across):
-        x, y = x0 + k % across * LANES, y0 + k // across
-        if y < planes.shape[1]:
+    base = np.uintp(0)
+    for y in range(y0, clamp(y0 + tile, 0, height)):
+        for x in range(x0, x0 + tile, LANES):
             for plane in range(PLANES):
-                base = (k * PLANES + plane) * LANES
-                for j in range(clamp(planes.shape[2] - x, 0, LANES)):
+                to = np.uintp((plane * height + y) * width + x)
+                for j in range(clamp(width - x, 0, LANES)):
                     # Transmittances of finished pixels are negative; nothing else is.
-                    planes[plane, y, x + j] = abs(state[base + j])
+                    planes[to + np.uintp(j)] = abs(state[base + np.uintp(j)])
+                base += np.uintp(LANES)
 
 
 @kernel
-def blend(begin, end, first, columns, tile, starts, members, rects, records, colours, planes):
-    """Fill the tiles ``begin`` to ``end`` of a band in ``planes`` (PLANES, H, W)."""
-    height, width = planes.shape[1], planes.shape[2]
-    state = np.empty(PLANES * tile * tile, np.float32)
-    live = np.empty(tile * tile // LANES, np.bool_)
+def blend(begin, end, first, columns, tile, starts, members, rects, records, colours, width, height,
+          planes, state, live):  # fmt: skip
+    """Fill the tiles ``begin`` to ``end`` of a band in ``planes`` (PLANES * H * W,).
+
+    ``state`` and ``live`` are as of `room_for`.
+    """
     for k in range(begin, end):
         x0, y0 = (first + k) % columns * tile, (first + k) // columns * tile
         start_tile(state, live, x0, y0, width, height, tile)
-        mine = members[starts[k] : starts[k + 1]]
-        _blend_tile(state, live, x0, y0, tile, mine, rects, records, colours)
-        _finish_tile(state, planes, x0, y0, tile)
+        _blend_tile(
+            state, live, x0, y0, tile, starts[k], starts[k + 1], members, rects, records, colours
+        )
+        _finish_tile(state, planes, x0, y0, width, height, tile)
+
+
+def room_for(tile: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """The planes of one tile, and a flag per segment."""
+    return np.empty(PLANES * tile * tile, np.float32), np.empty(tile * tile // LANES, np.bool_)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import os
 from collections.abc import Callable
@@ -35,6 +36,15 @@ def inlined(function: Callable[..., Any], fastmath: set[str] | None = None) -> C
     return numba.njit(**options)(function)
 
 
+def merged(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a part that a kernel calls once: its lines become the kernel's own.
+
+    LLVM then sees them once, instead of once by themselves and again in each caller. Where a part
+    is called often, `inlined` is quicker: numba works through the lines at every call.
+    """
+    return numba.njit(**_options(None), inline="always")(function)
+
+
 def _options(fastmath: set[str] | None) -> dict[str, Any]:
     return {
         "nogil": True,
@@ -58,8 +68,9 @@ def kernel(function: Callable[..., Any], fastmath: set[str] | None = None) -> Ca
     try:
         compiled = numba.njit(cache=True, **options)(function)
     except RuntimeError:
-        return numba.njit(**options)(function)
-    with suppress(AttributeError):  # a numba that keeps code otherwise
+        compiled = numba.njit(**options)(function)
+    compiled.compile = _uncollected(compiled.compile)
+    with suppress(AttributeError):  # no cache, or a numba that keeps code otherwise
         kept = compiled._cache
         # numba checks the kept code against the function's own file; but the constants and the
         # other kernels that it compiled in come from the files beside it, and may have changed.
@@ -68,6 +79,24 @@ def kernel(function: Callable[..., Any], fastmath: set[str] | None = None) -> Ca
         kept.load_overload = _or_nothing(kept.load_overload)
         kept.save_overload = _or_nothing(kept.save_overload)
     return compiled
+
+
+def _uncollected(action: Callable[..., Any]) -> Callable[..., Any]:
+    """The same action without garbage collections: they are a tenth of a compilation's time.
+
+    numba makes millions of small objects, so Python keeps looking through all that it has.
+    """
+
+    def act(*arguments: Any, **options: Any) -> Any:
+        if not gc.isenabled():  # so decided, or another thread compiles, and will set it back
+            return action(*arguments, **options)
+        gc.disable()
+        try:
+            return action(*arguments, **options)
+        finally:
+            gc.enable()
+
+    return act
 
 
 def _or_nothing(action: Callable[..., Any]) -> Callable[..., Any]:
@@ -115,6 +144,7 @@ def parallel_for(
     threads: int | None,
     *arguments: object,
     costs: NDArray[np.integer] | None = None,
+    scratch: Callable[[], tuple[NDArray[Any], ...]] = tuple,
 ) -> None:
     """Call ``compiled(begin, end, *arguments)`` over parts of ``range(count)``, in threads.
 
@@ -127,12 +157,14 @@ def parallel_for(
         threads: how many to use; None for every core.
         arguments: the kernel's others.
         costs: (count + 1,) what the things before each cost together; alike, if not given.
+        scratch: makes arrays for each call to work in, its last arguments. (Kernels that allocate
+            memory themselves take longer to compile, by a tenth of a second for each type.)
     """
     parts = part_count(count, threads)
     bounds = np.arange(parts + 1) * count // parts
     if costs is not None:
         bounds[1:-1] = np.searchsorted(costs, costs[-1] * np.arange(1, parts) / parts)
-    calls = [(b, e, *arguments) for b, e in pairwise(bounds.tolist()) if b < e]
+    calls = [(b, e, *arguments, *scratch()) for b, e in pairwise(bounds.tolist()) if b < e]
     if len(calls) <= 1:
         for call in calls:
             compiled(*call)

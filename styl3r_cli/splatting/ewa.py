@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from styl3r_cli.splatting.compiler import inlined
+from styl3r_cli.splatting.compiler import inlined, merged
 from styl3r_cli.splatting.constants import DILATION, JACOBIAN_MARGIN
 
 
@@ -22,25 +22,25 @@ def clamp(value, low, high):
     return low if value < low else (high if value > high else value)
 
 
-@inlined
+@merged
 def axis_limits(focal, centre, length):
     """Range of x/z (or y/z) within which the projection's Jacobian is trusted."""
     margin = JACOBIAN_MARGIN * 0.5 * length / focal
     return -centre / focal - margin, (length - centre) / focal + margin
 
 
-@inlined
+@merged
 def view_centre(i, means, view):
     """A mean in the camera: x / z, y / z and z."""
-    m0, m1, m2 = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
-    z = view[2, 0] * m0 + view[2, 1] * m1 + view[2, 2] * m2 + view[2, 3]
-    x = view[0, 0] * m0 + view[0, 1] * m1 + view[0, 2] * m2 + view[0, 3]
-    y = view[1, 0] * m0 + view[1, 1] * m1 + view[1, 2] * m2 + view[1, 3]
+    m0, m1, m2 = means[i, 0], means[i, 1], means[i, 2]  # become float64 when multiplied
+    z = view[8] * m0 + view[9] * m1 + view[10] * m2 + view[11]
+    x = view[0] * m0 + view[1] * m1 + view[2] * m2 + view[3]
+    y = view[4] * m0 + view[5] * m1 + view[6] * m2 + view[7]
     nearness = 1 / z
     return x * nearness, y * nearness, z
 
 
-@inlined
+@merged
 def unit_quaternion(i, rotations):
     """A rotation as a quaternion w x y z of length 1, and the length that it had."""
     w, x = np.float64(rotations[i, 0]), np.float64(rotations[i, 1])
@@ -54,38 +54,44 @@ def unit_quaternion(i, rotations):
 def to_matrix(w, x, y, z):
     """The (3, 3) rotation of a unit quaternion, row by row."""
     return (
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
     )  # fmt: skip
 
 
 @inlined
-def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y, rows):
-    """Fill ``rows`` (2, 3): the frame's x and y, in pixels, per sigma along each own axis."""
+def _axis(view, x, y, z, sigma, fx_z, fy_z, slope_x, slope_y):
+    n0 = (view[0] * x + view[1] * y + view[2] * z) * sigma
+    n1 = (view[4] * x + view[5] * y + view[6] * z) * sigma
+    n2 = (view[8] * x + view[9] * y + view[10] * z) * sigma
+    return fx_z * (n0 - slope_x * n2), fy_z * (n1 - slope_y * n2)
+
+
+@merged
+def footprint(view, quaternion, sx, sy, sz, fx_z, fy_z, slope_x, slope_y):
+    """The frame's x and y (2, 3), in pixels, per sigma along each own axis."""
     qw, qx, qy, qz = quaternion
     r = to_matrix(qw, qx, qy, qz)
-    for k in range(3):
-        scale = sx if k == 0 else (sy if k == 1 else sz)
-        n0 = (view[0, 0] * r[k] + view[0, 1] * r[3 + k] + view[0, 2] * r[6 + k]) * scale
-        n1 = (view[1, 0] * r[k] + view[1, 1] * r[3 + k] + view[1, 2] * r[6 + k]) * scale
-        n2 = (view[2, 0] * r[k] + view[2, 1] * r[3 + k] + view[2, 2] * r[6 + k]) * scale
-        rows[0, k] = fx_z * (n0 - slope_x * n2)
-        rows[1, k] = fy_z * (n1 - slope_y * n2)
+    x0, y0 = _axis(view, r[0], r[3], r[6], sx, fx_z, fy_z, slope_x, slope_y)
+    x1, y1 = _axis(view, r[1], r[4], r[7], sy, fx_z, fy_z, slope_x, slope_y)
+    x2, y2 = _axis(view, r[2], r[5], r[8], sz, fx_z, fy_z, slope_x, slope_y)
+    return (x0, x1, x2), (y0, y1, y2)
 
 
-@inlined
+@merged
 def covariance(rows):
     """Dilated variances along x and y, their covariance, and the determinants with and without.
 
     The determinant as a sum of squares: the usual xx * yy - xy^2 cancels for needles.
     """
-    xx = rows[0, 0] ** 2 + rows[0, 1] ** 2 + rows[0, 2] ** 2
-    yy = rows[1, 0] ** 2 + rows[1, 1] ** 2 + rows[1, 2] ** 2
-    xy = rows[0, 0] * rows[1, 0] + rows[0, 1] * rows[1, 1] + rows[0, 2] * rows[1, 2]
-    m0 = rows[0, 1] * rows[1, 2] - rows[0, 2] * rows[1, 1]
-    m1 = rows[0, 2] * rows[1, 0] - rows[0, 0] * rows[1, 2]
-    m2 = rows[0, 0] * rows[1, 1] - rows[0, 1] * rows[1, 0]
+    (x0, x1, x2), (y0, y1, y2) = rows
+    xx = x0 * x0 + x1 * x1 + x2 * x2
+    yy = y0 * y0 + y1 * y1 + y2 * y2
+    xy = x0 * y0 + x1 * y1 + x2 * y2
+    m0 = x1 * y2 - x2 * y1
+    m1 = x2 * y0 - x0 * y2
+    m2 = x0 * y1 - x1 * y0
     sharp = m0 * m0 + m1 * m1 + m2 * m2
     det = sharp + DILATION * (xx + yy) + DILATION * DILATION
     return xx + DILATION, yy + DILATION, xy, det, sharp

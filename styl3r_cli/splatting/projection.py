@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import inlined, kernel, parallel_for
+from styl3r_cli.splatting.compiler import kernel, merged, parallel_for
 from styl3r_cli.splatting.constants import (
     HALVINGS_PER_SQUARED_SIGMA,
     LOG2_CULL_MIN,
@@ -113,11 +113,16 @@ def project(
     parallel_for(
         _project, count, threads,
         gaussians.means, gaussians.scales, gaussians.rotations, gaussians.opacities,
-        gaussians.colours, np.ascontiguousarray(camera.extrinsics, np.float64), lens_of(camera),
-        camera.height, camera.width, float(near), antialias,
+        gaussians.colours, view_of(camera), tuple(lens_of(camera).tolist()), camera.height,
+        camera.width, float(near), antialias,
         splats.records, splats.depths, splats.rects, splats.status,
     )  # fmt: skip
     return splats
+
+
+def view_of(camera: Camera) -> tuple[float, ...]:
+    """World to camera as the kernels take it: the first three rows, one after the other."""
+    return tuple(np.asarray(camera.extrinsics, np.float64)[:3].ravel().tolist())
 
 
 def lens_of(camera: Camera) -> NDArray[np.float64]:
@@ -132,18 +137,19 @@ def lens_of(camera: Camera) -> NDArray[np.float64]:
     return lens
 
 
-@inlined
+@merged
 def _valid(i, means, scales, rotations, opacities, colours):
     """Whether Gaussian i is finite and describes an ellipsoid."""
-    total = np.float64(opacities[i])
+    total = 0.0 + opacities[i]
     for k in range(3):
-        total += np.float64(means[i, k]) + np.float64(scales[i, k]) + np.float64(colours[i, k])
+        total = total + means[i, k] + scales[i, k] + colours[i, k]  # float64, like total
         if scales[i, k] < 0:
             return False
     norm = 0.0
     for k in range(4):
-        total += np.float64(rotations[i, k])
-        norm += np.float64(rotations[i, k]) ** 2
+        q = np.float64(rotations[i, k])
+        total += q
+        norm += q * q
     return math.isfinite(total) and norm > 0
 
 
@@ -151,11 +157,11 @@ def _valid(i, means, scales, rotations, opacities, colours):
 def _project(begin, end, means, scales, rotations, opacities, colours, view, lens,
              height, width, near, antialias, records, depths, rects,
              status):  # fmt: skip
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
+    fx, fy, cx, cy = lens
     x_low, x_high = axis_limits(fx, cx, width)
     y_low, y_high = axis_limits(fy, cy, height)
-    rows = np.empty((2, 3), np.float64)
     for i in range(begin, end):
+        i = np.uintp(i)
         status[i] = OUTSIDE
         if not _valid(i, means, scales, rotations, opacities, colours):
             status[i] = INVALID
@@ -165,11 +171,10 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
         if not (z > near and 0 < z < FARTHEST and opacity > 0):
             continue
         quaternion, _ = unit_quaternion(i, rotations)
-        footprint(
+        rows = footprint(
             view, quaternion,
             np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2]),
             fx / z, fy / z, clamp(slope_x, x_low, x_high), clamp(slope_y, y_low, y_high),
-            rows,
         )  # fmt: skip
         xx, yy, xy, det, sharp = covariance(rows)
         if not math.isfinite(det + xx + yy):
@@ -194,7 +199,7 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
         status[i] = VISIBLE
 
 
-@inlined
+@merged
 def _touch(i, rects, u, v, radius_x, radius_y, width, height):
     """Note the pixels around a splat; False if no pixel's centre lies within its extent."""
     across, down = abs(u - 0.5 * width) - radius_x, abs(v - 0.5 * height) - radius_y

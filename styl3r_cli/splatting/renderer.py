@@ -9,7 +9,14 @@ import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.blending import LANES, MEDIAN_DEPTH, PLANES, TRANSMITTANCE, blend
+from styl3r_cli.splatting.blending import (
+    LANES,
+    MEDIAN_DEPTH,
+    PLANES,
+    TRANSMITTANCE,
+    blend,
+    room_for,
+)
 from styl3r_cli.splatting.compiler import parallel_for
 from styl3r_cli.splatting.constants import TILE
 from styl3r_cli.splatting.projection import INVALID, Splats, near_plane, project
@@ -97,6 +104,7 @@ def accumulate(
         parallel_for(
             blend, len(band.starts) - 1, threads,
             band.first, band.columns, band.tile, band.starts, band.members,
-            splats.rects, splats.records, colours, planes, costs=band.costs,
+            splats.rects, splats.records, colours, camera.width, camera.height, planes.reshape(-1),
+            costs=band.costs, scratch=lambda: room_for(tile),
         )  # fmt: skip
     return planes

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from styl3r_cli.splatting.compiler import inlined, kernel, parallel_for, part_count
+from styl3r_cli.splatting.compiler import kernel, merged, parallel_for, part_count
 from styl3r_cli.splatting.constants import LOG2_CULL_MIN, PIXEL_CENTRE
 from styl3r_cli.splatting.ewa import clamp
 from styl3r_cli.splatting.projection import LOG_OPACITY, VISIBLE, A, B, C, Splats, U, V
@@ -25,6 +25,7 @@ PAIR_BUDGET = 16_000_000
 DIGIT_BITS = 8
 DIGITS = 32 // DIGIT_BITS
 _VALUES = 1 << DIGIT_BITS
+_MASK = np.uint32(_VALUES - 1)
 
 # What a tile costs besides its list, in splats: an empty one must still be written.
 TILE_COST = 64
@@ -84,7 +85,9 @@ def tile_lists(
         lists = TileLists(tile, columns, band.start, starts, members)
         spare = np.empty_like(members), np.empty_like(keys)
         arrays = (starts, members, keys, *spare)
-        parallel_for(_sort, len(starts) - 1, threads, *arrays, costs=lists.costs)
+        parallel_for(
+            _sort, len(starts) - 1, threads, *arrays, costs=lists.costs, scratch=_room_to_sort
+        )
         yield lists
 
 
@@ -99,27 +102,17 @@ def _bands(pairs: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
     yield begin, len(pairs)
 
 
-@inlined
-def _reach_of(i, records):
-    return records[i, LOG_OPACITY] - LOG2_CULL_MIN
-
-
-@inlined
-def _bulge(i, records):
-    """How far below its centre a splat's outline is farthest to the right (left: above)."""
-    b, c = records[i, B], records[i, C]
-    return -b * math.sqrt(_reach_of(i, records) / (b * b + c * c)) / c
-
-
-@inlined
-def _reached_columns(i, records, bulge, first, last):
+@merged
+def _reached_columns(i, records, first, last):
     """How far a splat's outline reaches within some rows of pixels, in pixels' indices.
 
     The outline's right half, x(dy) = (sqrt(reach - (C dy)^2) - B dy) / A, is concave: between two
     heights its largest x is at its bulge, or at the height that is nearest to it; mirrored, so is
     the left one (exact ellipse-tile intersection, as in Speedy-Splat, arXiv 2412.00578).
     """
-    a, b, c, reach = records[i, A], records[i, B], records[i, C], _reach_of(i, records)
+    a, b, c = records[i, A], records[i, B], records[i, C]
+    reach = records[i, LOG_OPACITY] - LOG2_CULL_MIN
+    bulge = -b * math.sqrt(reach / (b * b + c * c)) / c
     edge, centre = math.sqrt(reach) / c, PIXEL_CENTRE - records[i, V]
     top, bottom = clamp(first + centre, -edge, edge), clamp(last + centre, -edge, edge)
     right, left = clamp(bulge, top, bottom), clamp(-bulge, top, bottom)
@@ -143,19 +136,17 @@ def _list(part_begin, part_end, parts, status, rects, records, depths, columns, 
             first, last = rects[i, 0] // tile, rects[i, 2] // tile
             # Where tiles are so few that the outline misses hardly any, they need no closer look.
             exact = (last - first) + (last_row - first_row) > 1
-            bulge = _bulge(i, records) if exact else 0.0
             for row in range(first_row, last_row + 1):
                 if row < row_begin or row >= row_end:
                     continue
                 low, high = first, last
                 if exact:
-                    top, bottom = (
-                        max(row * tile, rects[i, 1]),
-                        min((row + 1) * tile - 1, rects[i, 3]),
-                    )
-                    x0, x1 = _reached_columns(i, records, bulge, top, bottom)
-                    x0, x1 = max(x0, float(rects[i, 0])), min(x1, float(rects[i, 2]))
-                    low, high = math.ceil(x0) // tile, math.floor(x1) // tile
+                    top = row * tile if row > first_row else rects[i, 1]
+                    bottom = (row + 1) * tile - 1 if row < last_row else rects[i, 3]
+                    x0, x1 = _reached_columns(i, records, top, bottom)
+                    left, right = float(rects[i, 0]), float(rects[i, 2])
+                    low = math.ceil(x0 if x0 > left else left) // tile
+                    high = math.floor(x1 if x1 < right else right) // tile
                 for t in range((row - row_begin) * columns + low,
                                (row - row_begin) * columns + high + 1):  # fmt: skip
                     if fill:
@@ -163,40 +154,46 @@ def _list(part_begin, part_end, parts, status, rects, records, depths, columns, 
                     free[t] += 1
 
 
-@inlined
-def _sort_list(keys, members, other_keys, other_members, counts):
+def _room_to_sort() -> tuple[NDArray[np.int64]]:
+    """How often each value occurs, digit by digit."""
+    return (np.empty(DIGITS * _VALUES, np.int64),)
+
+
+@merged
+def _sort_list(begin, end, keys, members, other_keys, other_members, counts):
     """Sort one list, stably; digits that all keys share are passed over."""
-    count = len(keys)
-    counts[:] = 0
-    for i in range(count):
+    for i in range(len(counts)):
+        counts[np.uintp(i)] = 0
+    for i in range(begin, end):
+        key = keys[np.uintp(i)]
         for digit in range(DIGITS):
-            counts[digit, (keys[i] >> np.uint32(digit * DIGIT_BITS)) & np.uint32(_VALUES - 1)] += 1
+            value = (key >> np.uint32(digit * DIGIT_BITS)) & _MASK
+            counts[np.uintp(digit * _VALUES) + value] += 1
     for digit in range(DIGITS):
-        shift, mask = np.uint32(digit * DIGIT_BITS), np.uint32(_VALUES - 1)
-        if counts[digit, (keys[0] >> shift) & mask] == count:
+        shift, first = np.uint32(digit * DIGIT_BITS), np.uintp(digit * _VALUES)
+        if counts[first + ((keys[np.uintp(begin)] >> shift) & _MASK)] == end - begin:
             continue
-        place = 0
+        place = begin
         for value in range(_VALUES):
-            here = counts[digit, value]
-            counts[digit, value] = place
+            here = counts[first + np.uintp(value)]
+            counts[first + np.uintp(value)] = place
             place += here
-        for i in range(count):
-            value = (keys[i] >> shift) & mask
-            place = counts[digit, value]
-            counts[digit, value] = place + 1
-            other_keys[place], other_members[place] = keys[i], members[i]
-        for i in range(count):
-            keys[i], members[i] = other_keys[i], other_members[i]
+        for i in range(begin, end):
+            key = keys[np.uintp(i)]
+            at = first + ((key >> shift) & _MASK)
+            place = np.uintp(counts[at])
+            counts[at] += 1
+            other_keys[place], other_members[place] = key, members[np.uintp(i)]
+        for i in range(begin, end):
+            keys[np.uintp(i)] = other_keys[np.uintp(i)]
+            members[np.uintp(i)] = other_members[np.uintp(i)]
 
 
 @kernel
-def _sort(tile_begin, tile_end, starts, members, keys, other_members, other_keys):
+def _sort(tile_begin, tile_end, starts, members, keys, other_members, other_keys, counts):
     """Sort the lists of some tiles by their keys; the others are of the same size, for use."""
-    counts = np.empty((DIGITS, _VALUES), np.int32)
     for tile in range(tile_begin, tile_end):
-        low, high = starts[tile], starts[tile + 1]
-        if high - low > 1:
+        if starts[tile + 1] - starts[tile] > 1:
             _sort_list(
-                keys[low:high], members[low:high],
-                other_keys[low:high], other_members[low:high], counts,
-            )  # fmt: skip
+                starts[tile], starts[tile + 1], keys, members, other_keys, other_members, counts
+            )

@@ -16,7 +16,7 @@ from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting.blending import TRANSMITTANCE
 from styl3r_cli.splatting.compiler import parallel_for
 from styl3r_cli.splatting.constants import TILE
-from styl3r_cli.splatting.projection import VISIBLE, Splats, lens_of, near_plane, project
+from styl3r_cli.splatting.projection import VISIBLE, Splats, lens_of, near_plane, project, view_of
 from styl3r_cli.splatting.renderer import accumulate
 from styl3r_cli.splatting.tiles import tile_lists
 from styl3r_export.splatting.gradients import SUMS, unblend
@@ -123,7 +123,7 @@ def _backward(kept: _Kept, incoming: FloatArray) -> list[FloatArray]:
         )  # fmt: skip
     arrays = (gaussians.means, gaussians.scales, gaussians.rotations, gaussians.opacities)
     results = [np.zeros_like(array) for array in (*arrays, gaussians.colours)]
-    view = np.ascontiguousarray(camera.extrinsics, np.float64)
+    view = np.array(view_of(camera))
     parallel_for(
         unproject, len(gaussians), kept.threads,
         *arrays, view, lens_of(camera), camera.height, camera.width,

@@ -37,6 +37,7 @@ from styl3r_export.splatting.gradients import (
 def _shape_gradient(sums, a, b, c, rows, g_rows):
     """Fill ``g_rows`` (2, 3), the gradient of the footprint, through A, B, C and the covariance."""
     xx, yy, xy, det, _ = covariance(rows)
+    rows_x, rows_y = rows
     g_a, g_b, g_c = -2 * sums[G_P_DX], -2 * sums[G_P_DY], -2 * c * sums[G_DY_DY]
     # a^2 ~ yy / det, b = -a xy / yy, c^2 ~ 1 / yy, det = xx yy - xy^2.
     g_a -= g_b * xy / yy
@@ -44,8 +45,8 @@ def _shape_gradient(sums, a, b, c, rows, g_rows):
     g_yy = g_a * 0.5 * a * (1 / yy - xx / det) + g_b * a * xy / (yy * yy) - g_c * 0.5 * c / yy
     g_xy = g_a * a * xy / det - g_b * a / yy
     for k in range(3):
-        g_rows[0, k] = 2 * g_xx * rows[0, k] + g_xy * rows[1, k]
-        g_rows[1, k] = 2 * g_yy * rows[1, k] + g_xy * rows[0, k]
+        g_rows[0, k] = 2 * g_xx * rows_x[k] + g_xy * rows_y[k]
+        g_rows[1, k] = 2 * g_yy * rows_y[k] + g_xy * rows_x[k]
 
 
 @inlined
@@ -75,7 +76,7 @@ def _axes_gradient(i, view, q, norm, sigmas, g_n, g_scales, g_rotations):
         g_scale = 0.0
         for world in range(3):
             # Back through the view's rotation, then split between the axis and its length.
-            g = view[0, world] * g_n[0, k] + view[1, world] * g_n[1, k] + view[2, world] * g_n[2, k]
+            g = view[world] * g_n[0, k] + view[4 + world] * g_n[1, k] + view[8 + world] * g_n[2, k]
             g_scale += g * rotation[3 * world + k]
             g_matrix[3 * world + k] = g * sigma
         g_scales[i, k] = g_scale
@@ -94,15 +95,16 @@ def _footprint_gradient(view, q, sigmas, focals_z, slopes, z, rows, g_rows, g_n)
         The gradients of the two slopes, and of z where it divides the focal length.
     """
     rotation = to_matrix(q[0], q[1], q[2], q[3])
+    rows_x, rows_y = rows
     g_slope_x, g_slope_y, g_z = 0.0, 0.0, 0.0
     for k in range(3):
         sigma = sigmas[0] if k == 0 else (sigmas[1] if k == 1 else sigmas[2])
-        n2 = view[2, 0] * rotation[k] + view[2, 1] * rotation[3 + k] + view[2, 2] * rotation[6 + k]
+        n2 = view[8] * rotation[k] + view[9] * rotation[3 + k] + view[10] * rotation[6 + k]
         g_n[0, k], g_n[1, k] = focals_z[0] * g_rows[0, k], focals_z[1] * g_rows[1, k]
         g_n[2, k] = -slopes[0] * g_n[0, k] - slopes[1] * g_n[1, k]
         g_slope_x -= g_n[0, k] * n2 * sigma
         g_slope_y -= g_n[1, k] * n2 * sigma
-        g_z -= (g_rows[0, k] * rows[0, k] + g_rows[1, k] * rows[1, k]) / z
+        g_z -= (g_rows[0, k] * rows_x[k] + g_rows[1, k] * rows_y[k]) / z
     return g_slope_x, g_slope_y, g_z
 
 
@@ -126,8 +128,8 @@ def unproject(begin, end, means, scales, rotations, opacities, view, lens, heigh
     fx, fy = lens[0], lens[1]
     x_low, x_high = axis_limits(fx, lens[2], width)
     y_low, y_high = axis_limits(fy, lens[3], height)
-    rows, g_rows = np.empty((2, 3), np.float64), np.empty((2, 3), np.float64)
-    g_n, sums = np.empty((3, 3), np.float64), np.empty(SUMS, np.float64)
+    g_rows, g_n = np.empty((2, 3), np.float64), np.empty((3, 3), np.float64)
+    sums = np.empty(SUMS, np.float64)
     for i in range(begin, end):
         if status[i] != VISIBLE:
             continue
@@ -140,7 +142,7 @@ def unproject(begin, end, means, scales, rotations, opacities, view, lens, heigh
         slope_x, slope_y = clamp(x_z, x_low, x_high), clamp(y_z, y_low, y_high)
         q, norm = unit_quaternion(i, rotations)
         s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-        footprint(view, q, s0, s1, s2, fx / z, fy / z, slope_x, slope_y, rows)
+        rows = footprint(view, q, s0, s1, s2, fx / z, fy / z, slope_x, slope_y)
         _shape_gradient(sums, a, b, c, rows, g_rows)
         g_slope_x, g_slope_y, g_z = _footprint_gradient(
             view, q, (s0, s1, s2), (fx / z, fy / z), (slope_x, slope_y), z, rows, g_rows, g_n
@@ -152,4 +154,4 @@ def unproject(begin, end, means, scales, rotations, opacities, view, lens, heigh
         g_y_z += g_slope_y if slope_y == y_z else 0.0
         g_z += sums[DEPTH] - (g_x_z * x_z + g_y_z * y_z) / z
         for k in range(3):
-            g_means[i, k] = view[0, k] * g_x_z / z + view[1, k] * g_y_z / z + view[2, k] * g_z
+            g_means[i, k] = view[k] * g_x_z / z + view[4 + k] * g_y_z / z + view[8 + k] * g_z

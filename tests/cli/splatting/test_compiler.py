@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 import threading
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -17,6 +19,31 @@ def test_a_kernel_works_without_a_place_for_its_cache():
     names: dict = {}
     exec("def double(x):\n    return 2 * x", names)  # has no file, so numba finds no cache for it
     assert kernel(names["double"])(21) == 42
+
+
+@pytest.mark.parametrize("collecting", [True, False])
+def test_compiling_leaves_garbage_collection_as_it_was(collecting):
+    during = []
+
+    class Seen(numba.core.event.Listener):
+        def on_start(self, event):
+            during.append(gc.isenabled())
+
+        def on_end(self, event):
+            pass
+
+    before = gc.isenabled()
+    (gc.enable if collecting else gc.disable)()
+    try:
+        with numba.core.event.install_listener("numba:compile", Seen()):
+            assert kernel(lambda x: x + 1)(1) == 2
+            with pytest.raises(numba.TypingError):
+                kernel(lambda x: x.no_such_attribute)(1)
+        assert gc.isenabled() == collecting
+    finally:
+        (gc.enable if before else gc.disable)()
+    assert during
+    assert not any(during)
 
 
 def test_kept_code_follows_the_modules_beside_it(tmp_path: Path):
