@@ -74,8 +74,10 @@ def stdout_stream() -> Iterator[Callable[[bytes], None]]:
 
     Raises:
         UsageError: standard output is a terminal, which binary data would garble.
-        OutputError: the reading end has gone, or the device is full.
+        OutputError: it is closed, the reading end has gone, or the device is full.
     """
+    if sys.stdout is None:
+        raise OutputError("cannot write standard output: it is closed")
     if sys.stdout.isatty():
         raise UsageError(
             "-o -: standard output is a terminal; pipe it into a program or redirect it to a file"
@@ -124,7 +126,9 @@ def read_stdin() -> bytes:
         UsageError: standard input is a terminal.
         InputError: nothing came, which means that the program before the pipe failed.
     """
-    if sys.stdin is None or sys.stdin.isatty():
+    if sys.stdin is None:
+        raise UsageError("-: standard input is closed; pipe a file into it or name a file")
+    if sys.stdin.isatty():
         raise UsageError("-: standard input is a terminal; pipe a file into it or name a file")
     try:
         data = sys.stdin.buffer.read()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -34,6 +35,9 @@ COMMANDS = {
 HIDDEN = {"man": ("man", "The manual page: styl3r man | man -l -")}
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
 OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
+
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def exit_code_columns() -> str:
@@ -120,10 +124,20 @@ def group() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit (the console script's entry point)."""
+    _fill_standard_streams()
     signal.signal(signal.SIGTERM, _terminate)
     if not sys.warnoptions:  # libraries' remarks on odd files are not for users; python -W shows
         warnings.simplefilter("ignore")
     sys.exit(run(arguments))
+
+
+def _fill_standard_streams() -> None:
+    """Where a stream is closed, no file may get its number: libraries in C would write into it."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -153,6 +167,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
             return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
             return _fail(f"{os.fsdecode(error.filename)}: {error.strerror}", ExitCode.INPUT)
+        if isinstance(error, OSError) and error.errno in FULL:  # files have their own message
+            return _fail(f"cannot write standard output: {error.strerror}", ExitCode.OUTPUT)
         what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         return _fail(f"a bug: {what} ({DEBUG}=1 shows where; please report it)", ExitCode.INTERNAL)
     return result if isinstance(result, int) else ExitCode.SUCCESS

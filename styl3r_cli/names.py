@@ -16,4 +16,7 @@ def user_path(text: str | Path) -> Path:
 
 def real_path(path: Path) -> Path:
     """The path without links; a loop of links ends in a link again (pathlib's own raises)."""
-    return Path(os.path.realpath(path))
+    try:
+        return Path(os.path.realpath(path))
+    except OSError:  # the folder that this process is in has been removed
+        return path

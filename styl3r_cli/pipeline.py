@@ -18,6 +18,7 @@ from styl3r_cli.photos.resize import fit_style
 SMALLEST_SCALE = 1e-10
 # The network's unit quaternions are off by rounding; more is damage worth telling about.
 UNIT_TOLERANCE = 1e-3
+LARGEST_WEIGHT = 1e9  # of a style beside others; sums of such stay finite
 
 
 @dataclass(frozen=True)
@@ -208,8 +209,8 @@ def _shares(count: int, weights: Sequence[float] | None) -> list[float]:
     given = [1.0] * count if weights is None else [float(weight) for weight in weights]
     if len(given) != count:
         raise UsageError(f"{count} styles but {len(given)} weights")
-    if any(not math.isfinite(weight) or weight < 0 for weight in given):
-        raise UsageError("style weights must be 0 or more, and finite")
+    if not all(0 <= weight <= LARGEST_WEIGHT for weight in given):  # NaN is not, either
+        raise UsageError(f"style weights must be numbers from 0 to {LARGEST_WEIGHT:g}")
     total = math.fsum(given)
     if count and total == 0:
         raise UsageError("all style weights are 0; one at least must count")

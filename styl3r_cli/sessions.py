@@ -75,7 +75,9 @@ class Graph:
         ort.set_default_logger_severity(SILENT)
         options = ort.SessionOptions()
         options.log_severity_level = SILENT
-        options.intra_op_num_threads = threads or available_cores()
+        cores = available_cores()
+        # More threads than cores only wait for each other; thousands, for minutes.
+        options.intra_op_num_threads = min(threads or cores, cores)
         options.inter_op_num_threads = 1
         options.add_session_config_entry(*NO_SPINNING)
         if not optimise:

@@ -67,6 +67,8 @@ LIMITED_RANGE = 1  # FFmpeg's AVCOL_RANGE_MPEG, 16 to 235
 
 # Frame rates are stored as fractions; this denominator keeps 30000/1001 and the like exact.
 LARGEST_DENOMINATOR = 100_000
+# Far less than that denominator can say is no rate at all; a GIF's frames last 655 s at most.
+SLOWEST = 0.01
 # 29.97 is meant to be 30000/1001; so are 23.976 and 23.98.
 NTSC_ROUNDING = 0.005
 
@@ -130,10 +132,11 @@ def frame_rate(fps: float) -> Fraction:
     """Frames per second as the fraction that is stored.
 
     Raises:
-        UsageError: if it is not above 0.
+        UsageError: it is below SLOWEST, or no number.
     """
-    if not 0 < fps < float("inf"):
-        raise UsageError(f"a video of {fps} frames per second cannot play; give a rate above 0")
+    if not SLOWEST <= fps < float("inf"):
+        message = f"a video of {fps:g} frames per second cannot play"
+        raise UsageError(f"{message}; give a rate of {SLOWEST:g} or more")
     rate = Fraction(fps).limit_denominator(LARGEST_DENOMINATOR)
     for ntsc in (Fraction(1000 * whole, 1001) for whole in (24, 30, 48, 60, 120)):
         if abs(fps - ntsc) < NTSC_ROUNDING:

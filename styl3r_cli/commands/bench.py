@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from styl3r_cli.commands.options import SizeType, UserPath, quiet_option
+from styl3r_cli.commands.options import Number, SizeType, UserPath, quiet_option
 from styl3r_cli.console import Console
 from styl3r_cli.errors import UsageError
 from styl3r_cli.files import atomic_write
@@ -84,7 +84,7 @@ def command() -> None:
 )
 @click.option(
     "--twin-seconds",
-    type=click.FloatRange(min=0),
+    type=Number(min=0),
     default=TWIN_SECONDS,
     show_default=True,
     help="The longest frame that the torch twin draws; times of longer ones are foretold from a "

@@ -41,12 +41,15 @@ def _check_place(path: Path, target: Path) -> None:
 
 
 def check_stdout(option: str) -> None:
-    """Make sure that binary data for standard output does not end on a terminal.
+    """Make sure that binary data can go to standard output and does not end on a terminal.
 
     Raises:
-        UsageError: it would.
+        OutputError: it is closed.
+        UsageError: it is a terminal.
     """
-    if sys.stdout is not None and sys.stdout.isatty():
+    if sys.stdout is None:
+        raise OutputError("cannot write standard output: it is closed")
+    if sys.stdout.isatty():
         message = "standard output is a terminal; pipe it into a program or name a file"
         raise UsageError(f"{option}: {message}")
 

@@ -8,7 +8,14 @@ from typing import Any
 
 import click
 
-from styl3r_cli.commands.options import STDOUT, FileName, UserPath, quiet_option, threads_option
+from styl3r_cli.commands.options import (
+    STDOUT,
+    FileName,
+    Number,
+    UserPath,
+    quiet_option,
+    threads_option,
+)
 
 DEFAULT_DECIBELS = 45.0  # of 255 steps, errors of 1.4 on average: nobody sees them side by side
 UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 2**10, "mi": 2**20, "gi": 2**30}
@@ -58,7 +65,7 @@ class BytesType(click.ParamType):
 )
 @click.option(
     "--keep-db",
-    type=click.FloatRange(10, 90),
+    type=Number(10, 90),
     metavar="DB",
     help=f"Keep this agreement with the whole scene, in decibels (default {DEFAULT_DECIBELS:g}).",
 )

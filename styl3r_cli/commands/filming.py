@@ -13,6 +13,7 @@ from styl3r_cli.commands.render_request import (
     RenderRequest,
     background_of,
     check,
+    check_size,
     frame_names,
 )
 from styl3r_cli.commands.shots import Shots, plan_shots
@@ -50,6 +51,8 @@ def film(request: RenderRequest, quiet: bool) -> None:
         scene = _read(STDOUT if request.scene == STDOUT else user_path(request.scene), console)
         other = _read(request.compare, console) if request.compare else None
         shots = plan_shots(request, scene, console)
+        first = shots.cameras[0]
+        check_size(request, first.width, first.height)
     if request.save_path:
         from styl3r_cli.cameras.camera_path import write_camera_path
 
@@ -61,12 +64,9 @@ def film(request: RenderRequest, quiet: bool) -> None:
             look = _look(request, scene.gaussians, other, shots, drawing)
             _write(request, look, shots, drawn)
     if request.kind == "rgb":
-        first = shots.cameras[0]
-        sides = 2 if request.compare and request.layout == "side" else 1
         pixels = "rgb24" if drawing.background is not None else "rgba"
-        console.note(
-            f"raw {pixels}, {first.width * sides}x{first.height}, {shots.fps:g} frames per second"
-        )
+        width = first.width * request.beside
+        console.note(f"raw {pixels}, {width}x{first.height}, {shots.fps:g} frames per second")
 
 
 def _read(source: str | Path, console: Console) -> Scene:

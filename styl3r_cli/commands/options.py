@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -62,6 +63,19 @@ class SizeType(click.ParamType):
         return int(match[1]), int(match[2] or match[1])
 
 
+class Number(click.FloatRange):
+    """A number in a range; click's own type takes "nan" for one."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Refuse what is not finite."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+
 class UserPath(click.ParamType):
     """A path, with `~` understood also where the shell does not (--option=~/file)."""
 
@@ -85,6 +99,12 @@ class FileName(click.ParamType):
 
     name = "FILE"
     shell_complete = UserPath.shell_complete
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Refuse what no file can be called."""
+        if not str(value) or "\0" in str(value):
+            self.fail("the file name is empty", param, ctx)
+        return str(value)
 
 
 def apply(decorators: list[Callable[[Command], Command]]) -> Callable[[Command], Command]:

@@ -10,6 +10,7 @@ from styl3r_cli.commands.options import (
     LOOP_FPS,
     LOOP_FRAMES,
     FileName,
+    Number,
     SizeType,
     UserPath,
     quiet_option,
@@ -18,6 +19,7 @@ from styl3r_cli.commands.options import (
 from styl3r_cli.quality import BEST, QUALITIES, help_of
 
 DEFAULT_PATH = "wobble"
+MOST_FRAMES = 100_000  # over an hour; all their cameras are in memory at once
 
 HELP = """\
 Draw a scene along a camera path, or from the cameras of a file.
@@ -81,11 +83,13 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     help="Write the frames' cameras, for nerfstudio and for --path.",
 )
 @click.option(
-    "--frames", type=click.IntRange(min=1), help=f"Frames of a path; {LOOP_FRAMES} by default."
+    "--frames",
+    type=click.IntRange(1, MOST_FRAMES),
+    help=f"Frames of a path; {LOOP_FRAMES} by default.",
 )
 @click.option(
     "--fps",
-    type=click.FloatRange(min=0, min_open=True, max=1000),
+    type=Number(min=0, min_open=True, max=1000),
     help=f"Frames per second; {LOOP_FPS:g} by default, or what a camera path says.",
 )
 @click.option(
@@ -100,14 +104,14 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
 )
 @click.option(
     "--amplitude",
-    type=click.FloatRange(min=0, min_open=True, max=100),
+    type=Number(min=0, min_open=True, max=100),
     default=1.0,
     show_default=True,
     help="How far to move, as a multiple of what suits the scene.",
 )
 @click.option(
     "--arc",
-    type=click.FloatRange(min=0, min_open=True, max=360),
+    type=Number(min=0, min_open=True, max=360),
     metavar="DEGREES",
     help="How far an orbit goes, whatever that shows; 360 is a full circle.",
 )
@@ -119,7 +123,7 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
 )
 @click.option(
     "--fov",
-    type=click.FloatRange(1, 170),
+    type=Number(1, 170),
     metavar="DEGREES",
     help="Horizontal field of view of the frames; by default the views'.",
 )

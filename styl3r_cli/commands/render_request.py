@@ -18,6 +18,15 @@ from styl3r_cli.quality import BEST
 PICTURES = ("png", "jpg", "jpeg")
 LINEAR = "exr"
 FORMATS = (*MOVIES, "y4m", "rgb", "png", "jpg", LINEAR)
+# The longest side that a format can say (and x264 encode), in pixels.
+LONGEST_SIDES = {
+    "mp4": 16384,
+    "webm": 65535,
+    "webp": 16383,
+    "gif": 65535,
+    "jpg": 65500,
+    "jpeg": 65500,
+}
 WITH_ALPHA = ("webm", "webp", "png", "rgb")
 TRANSPARENT = "transparent"
 
@@ -65,6 +74,12 @@ class RenderRequest:
     def file(self) -> Path:
         """The output's name, or the pattern of its frames' names."""
         return user_path(self.output)
+
+    @property
+    def beside(self) -> int:
+        """How many pictures a frame shows beside each other."""
+        two = self.layout == "side" if self.compare else self.show == "both"
+        return 2 if two else 1
 
     @property
     def one_file(self) -> bool:
@@ -144,6 +159,19 @@ def _check_kind(request: RenderRequest) -> None:
         raise UsageError(f"--quality {request.quality}: EXR frames are always the best")
     if kind == LINEAR and (request.compare or request.show != "colour"):
         raise UsageError("--compare and --show: EXR frames have colour and depth of one scene")
+
+
+def check_size(request: RenderRequest, width: int, height: int) -> None:
+    """Refuse frames that are longer than their format allows, before one is drawn.
+
+    Raises:
+        UsageError: they are.
+    """
+    longest = LONGEST_SIDES.get(request.kind)
+    width *= request.beside
+    if longest is not None and max(width, height) > longest:
+        message = f"{width}x{height} pixels; a .{request.kind} has at most {longest} a side"
+        raise UsageError(f"-o {request.output}: {message} (--size)")
 
 
 def _make_folder(folder: Path) -> None:

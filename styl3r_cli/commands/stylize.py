@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from styl3r_cli.commands.options import StyleType, WeightedStyle, scene_options
+from styl3r_cli.commands.options import Number, StyleType, WeightedStyle, scene_options
 from styl3r_cli.quality import BEST, QUALITIES, help_of
 
 HELP = """\
@@ -45,7 +45,7 @@ Existing results are replaced; a photo or a style is never overwritten.
 )
 @click.option(
     "--strength",
-    type=click.FloatRange(0, 1),
+    type=Number(0, 1),
     default=1.0,
     show_default=True,
     help="How much of the style: 0 keeps the scene's own colours.",

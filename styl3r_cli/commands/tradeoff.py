@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from styl3r_cli.commands.bench import ListOf
-from styl3r_cli.commands.options import UserPath, quiet_option
+from styl3r_cli.commands.options import Number, UserPath, quiet_option
 from styl3r_cli.tradeoff.points import COLOURS, DRAWINGS
 
 PRECISIONS = ("w8", "w4", "int8", "int8-static")
@@ -74,7 +74,7 @@ gives no finite scene, is shown as rejected and never recommended.
 )
 @click.option(
     "--budgets",
-    type=ListOf(click.FloatRange(0, 100, min_open=True)),
+    type=ListOf(Number(0, 100, min_open=True)),
     default=BUDGETS,
     metavar="PERCENT,...",
     help="By default " + ",".join(f"{each:g}" for each in BUDGETS) + ".",

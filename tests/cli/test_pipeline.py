@@ -106,8 +106,10 @@ def test_only_ratios_of_weights_matter(stylizer: Stylizer, scene: Scene) -> None
     [
         ({"styles": [RED], "strength": 1.5}, "strength 1.5"),
         ({"styles": [RED], "strength": float("nan")}, "strength nan"),
-        ({"styles": [RED], "weights": [-1]}, "0 or more"),
-        ({"styles": [RED], "weights": [float("inf")]}, "finite"),
+        ({"styles": [RED], "weights": [-1]}, "from 0"),
+        ({"styles": [RED], "weights": [float("nan")]}, "numbers"),
+        ({"styles": [RED], "weights": [float("inf")]}, "numbers"),
+        ({"styles": [RED, BLUE], "weights": [1e308, 1e308]}, "from 0 to 1e"),
         ({"styles": [RED, BLUE], "weights": [0, 0]}, "all style weights are 0"),
         ({"styles": [RED, BLUE], "weights": [1]}, "2 styles but 1 weights"),
         ({"styles": []}, "needs at least one style"),

@@ -8,10 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from styl3r_cli import console, main
-from styl3r_cli.formats import read_scene
+from styl3r_cli.formats import read_scene, write_scene
+from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.main import COMMANDS
 
 
@@ -51,6 +53,49 @@ def test_lists_that_cannot_be_used(
     assert result.returncode == code
     assert result.stderr.count(b"\n") == 1
     assert words in result.stderr
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A scene of one Gaussian."""
+    one = np.ones((1, 3), np.float32)
+    turn = np.eye(4, dtype=np.float32)[:1]
+    write_scene(tmp_path / "s.ply", Gaussians(one, one, turn, one[:, 0], one))
+    return tmp_path / "s.ply"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a shell, and devices of Linux")
+@pytest.mark.parametrize(
+    ("line", "code", "words"),
+    [
+        ("$S render s.ply --frames 1 --size 16 --format png -o - >&-", 6, "it is closed"),
+        ("$S info - <&-", 2, "standard input is closed"),
+        ("$S --version >/dev/full", 6, "standard output: No space left"),
+        ("$S man >/dev/full", 6, "standard output: No space left"),
+        ("$S info s.ply --json --no-sizes >/dev/full", 6, "standard output: No space left"),
+        ("mkdir g; cd g; rmdir ../g; $S convert ../s.ply x.ply", 6, "x.ply: No such file"),
+        ("$S info s.ply --no-sizes <&- >&-", 0, ""),
+        ("$S info gone.ply <&- >&- 2>&-", 3, ""),
+    ],
+)
+def test_streams_that_are_closed_or_full(scene: Path, line: str, code: int, words: str) -> None:
+    environment = os.environ | {"S": f"{sys.executable} -m styl3r_cli"}
+    shell = {"cwd": scene.parent, "env": environment, "capture_output": True, "check": False}
+    result = subprocess.run(["bash", "-c", line], timeout=120, **shell)  # type: ignore[call-overload]
+    assert result.returncode == code
+    assert words in result.stderr.decode()
+    assert result.stderr.count(b"\n") == bool(words)
+    assert [path.name for path in scene.parent.iterdir()] == ["s.ply"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a shell that closes streams")
+def test_results_never_take_the_number_of_a_closed_stream(scene: Path, tmp_path: Path) -> None:
+    code = "import sys, os; from styl3r_cli import main\n"
+    code += "try: main.main(['--version'])\nexcept SystemExit: pass\n"
+    code += "sys.exit(os.open('a', os.O_CREAT | os.O_WRONLY))"
+    command = f'{sys.executable} -c "$CODE" <&- >&- 2>&-'
+    shell = {"cwd": tmp_path, "env": os.environ | {"CODE": code}, "check": False}
+    assert subprocess.run(["bash", "-c", command], timeout=60, **shell).returncode > 2  # type: ignore[call-overload]
 
 
 def lines(text: str) -> list[dict[str, object]]:

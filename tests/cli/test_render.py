@@ -340,6 +340,14 @@ def test_a_pipe_gets_what_a_file_gets(scene: Path, tmp_path: Path, form: str) ->
         assert (tmp_path / f"a.{form}").read_bytes() == piped.stdout
 
 
+def test_the_note_on_raw_pixels_counts_both_pictures(run: Run, scene: Path, tmp_path: Path) -> None:
+    target = tmp_path / "a.rgb"
+    size = ("--frames", 1, "--size", "64x48", "--show", "both")
+    code, err = run(scene, *size, "--format", "rgb", "-o", target)
+    assert (code, err) == (0, "styl3r: raw rgb24, 128x48, 24 frames per second\n")
+    assert target.stat().st_size == 128 * 48 * 3
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX pipes")
 def test_a_reader_that_leaves_ends_the_run_quietly(scene: Path, tmp_path: Path) -> None:
     """As after `| head`: the conventional code, no words, and long before all frames are drawn."""
@@ -405,6 +413,14 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
         (["{scene}", "-o", "x.mp4", "--compare", "no.ply"], 3, "no.ply"),
         (["{scene}", "-o", "x.mp4", "--compare", "{scene}", "--show", "both"], 2, "no room"),
         (["{scene}", "-o", "x.gif", "--fps", "60", "--frames", "2"], 2, "at most 50"),
+        (["{scene}", "-o", "x.gif", "--fps", "1e-9", "--frames", "2"], 2, "0.01 or more"),
+        (["{scene}", "-o", "%d.png", "--fps", "nan"], 2, "not a finite number"),
+        (["{scene}", "-o", "x.mp4", "--path", "orbit", "--arc", "nan"], 2, "not a finite number"),
+        (["{scene}", "-o", "x.mp4", "--frames", "9" * 30], 2, "--frames"),
+        (["{scene}", "-o", "x.gif", "--size", "70000x2"], 2, "at most 65535 a side"),
+        (["{scene}", "-o", "%d.jpg", "--size", "2x70000"], 2, "at most 65500 a side"),
+        (["{scene}", "-o", "x.webp", "--size", "8192", "--show", "both"], 2, "at most 16383"),
+        (["{scene}", "-o", ""], 2, "name is empty"),
         (
             ["{scene}", "-o", "x.mp4", "--save-path", "{cameras}", "--cameras", "{cameras}"],
             2,
