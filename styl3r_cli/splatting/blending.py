@@ -102,8 +102,8 @@ def still_live(state, live, segment, plane):
         plane: where in it the transmittance starts.
     """
     some = False
-    for k in range(len(live)):
-        k = np.uintp(k)
+    for index in range(len(live)):
+        k = np.uintp(index)
         if live[k]:
             base = k * segment + plane
             unfinished = False

@@ -160,8 +160,8 @@ def _project(begin, end, means, scales, rotations, opacities, colours, view, len
     fx, fy, cx, cy = lens
     x_low, x_high = axis_limits(fx, cx, width)
     y_low, y_high = axis_limits(fy, cy, height)
-    for i in range(begin, end):
-        i = np.uintp(i)
+    for index in range(begin, end):
+        i = np.uintp(index)
         status[i] = OUTSIDE
         if not _valid(i, means, scales, rotations, opacities, colours):
             status[i] = INVALID
