@@ -17,6 +17,7 @@ from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
 if TYPE_CHECKING:  # they bring numba, which takes a while
     from styl3r_cli.cameras.camera import Camera
     from styl3r_cli.fitting.tracing import Trace
+    from styl3r_cli.overlaps import Overlaps
 
 # Steps of the colours' least squares. On real pairs the third still sharpens pictures from new
 # cameras, the fourth and fifth only those from the views' own.
@@ -28,9 +29,10 @@ class Painter:
 
     A model whose colours are pictures says what each view should show. Drawn, that picture is
     blurred: Gaussians are wider than a pixel, and two views of one surface lie in two layers, one
-    over the other. The painter solves for the colours whose drawing comes closest to the pictures
-    of all views (a frame is linear in the colours). What does not depend on the style is worked
-    out once.
+    over the other. And each view is painted for itself, so that one surface has other strokes in
+    each. The painter takes one view's strokes for a surface, then solves for the colours whose
+    drawing comes closest to the pictures of all views (a frame is linear in the colours). What does
+    not depend on the style is worked out once.
 
     Example:
         >>> painter = Painter(stylizer, scene, recover(scene.means, scene.opacities))
@@ -52,12 +54,14 @@ class Painter:
             scene: from its `encode`.
             recovered: the views' cameras. A view whose camera was not found is not fitted to.
             threads: None for every core.
-            fitted: whether to fit at all. Colours of a model that trained its colours through a
-                renderer never are.
+            fitted: whether to fit at all.
+
+        Colours of a model that trained them through a renderer are always left as they are.
         """
         self.stylizer, self.scene, self.recovered = stylizer, scene, recovered
         self.threads = threads
-        self.fitted = fitted and stylizer.model.paints_pictures
+        self.pictures = stylizer.model.paints_pictures
+        self.fitted = fitted and self.pictures
 
     def __call__(
         self,
@@ -67,10 +71,20 @@ class Painter:
     ) -> tuple[Gaussians, Repairs]:
         """One Gaussian a pixel in a style; arguments and errors as `Stylizer.colours`."""
         colours = self.stylizer.colours(self.scene, styles, weights, strength)
+        finite = bool(np.isfinite(colours).all())
+        # Photos agree with each other already, and resampling would blur them.
+        if self.pictures and finite and strength > 0:
+            colours = self._overlaps.paint_once(colours, strength)
         gaussians, repairs = assemble(self.scene, colours)
-        if self.fitted and np.isfinite(colours).all():
+        if self.fitted and finite:
             gaussians = self._fit.apply(gaussians, colours)
         return gaussians, repairs
+
+    @cached_property
+    def _overlaps(self) -> Overlaps:
+        from styl3r_cli.overlaps import Overlaps
+
+        return Overlaps(self.scene, self.recovered)
 
     @cached_property
     def _fit(self) -> _Fit:

@@ -1,0 +1,165 @@
+"""Which pixels of the views show one surface, so that one painting covers it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.pipeline import Scene
+
+# Two views' depths of one surface differ by a few per cent, of two surfaces by more: below the
+# first part of the depth a point is the other view's, beyond the second it is not.
+SAME, ANOTHER = 0.07, 0.10
+# All of 3x3 pixels of the other view have to be at that depth: beside an edge there, colours of the
+# surface in front would come along.
+NEIGHBOURS = 3
+# A picture's outermost pixels are painted with less around them to go by, and no seam should be
+# sharp: so many pixels from the border nothing is taken, and from there on all.
+BORDER, INSIDE = 3.0, 5.0
+# Pixels of the other picture that a pixel spans: with fewer, a stroke would be enlarged to a blur.
+TOO_COARSE, FINE_ENOUGH = 0.25, 0.5
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """What a view sees that another one painted.
+
+    Attributes:
+        view: index of the view.
+        painter: index of the view whose picture is taken.
+        share: (H, W) in [0, 1], how much of it.
+        x: (H, W) where in the painter's picture, pixels from its first pixel's centre.
+        y: (H, W) likewise.
+    """
+
+    view: int
+    painter: int
+    share: FloatArray
+    x: FloatArray
+    y: FloatArray
+
+
+class Overlaps:
+    """Where the views of a scene show one surface.
+
+    A 2D stylizer paints every view for itself: the same wall gets other strokes in each, and drawn
+    from the Gaussians of all views they blur each other. Here every surface keeps the strokes of
+    one view, the others take them over at the points' projections. What depends on the style is
+    one resampling.
+
+    Example:
+        >>> overlaps = Overlaps(scene, recovered)
+        >>> agreeing = overlaps.paint_once(pictures)
+    """
+
+    def __init__(self, scene: Scene, recovered: Recovered) -> None:
+        """Compare the views' depths.
+
+        Args:
+            scene: from `Stylizer.encode`.
+            recovered: its cameras. Views whose camera was not found neither give nor take.
+        """
+        known = np.flatnonzero(recovered.recovered).tolist()
+        self.order = outwards(len(scene.images), known)
+        self.overlaps = list(self._compare(scene, recovered.cameras))
+
+    def _compare(self, scene: Scene, cameras: list[Camera]) -> Iterator[Overlap]:
+        depths = {
+            view: project(scene.means[view], cameras[view])[2].astype(np.float32)
+            for view in self.order
+        }
+        for index, view in enumerate(self.order):
+            for painter in self.order[:index]:
+                x, y, depth = project(scene.means[view], cameras[painter])
+                yield Overlap(view, painter, *_share(x, y, depth, depths[painter]))
+
+    def paint_once(self, pictures: FloatArray, strength: float = 1.0) -> FloatArray:
+        """The views' pictures with each surface as the first view in order painted it.
+
+        Args:
+            pictures: (N, H, W, 3), each view painted for itself.
+            strength: how much of what another view painted is taken over, 0 to 1.
+
+        Returns:
+            (N, H, W, 3).
+        """
+        painted = pictures.copy()
+        left = np.full(pictures.shape[:3], np.float32(strength))
+        for each in self.overlaps:  # the earliest painter first
+            taken = left[each.view] * each.share
+            change = _sample(pictures[each.painter], each.x, each.y) - pictures[each.view]
+            painted[each.view] += taken[..., None] * change
+            left[each.view] -= taken
+        return painted
+
+
+def outwards(count: int, known: list[int]) -> list[int]:
+    """Known views from the middle of `count` on, which shares most with the others."""
+    middle = (count - 1) // 2
+    return sorted(known, key=lambda view: (abs(view - middle), view))
+
+
+def project(
+    points: FloatArray, camera: Camera
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Pixel coordinates (from the first pixel's centre) and depths of (H, W, 3) points.
+
+    Points that are not in front of the camera are at no pixel: NaN.
+    """
+    with np.errstate(all="ignore"):
+        seen = points @ camera.extrinsics[:3, :3].T + camera.extrinsics[:3, 3]
+        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        x = camera.fx * seen[..., 0] / depth + camera.cx - 0.5
+        y = camera.fy * seen[..., 1] / depth + camera.cy - 0.5
+    return x, y, depth
+
+
+def _share(
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    there: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How much a view takes at each pixel, and where from: `Overlap`'s share, x and y."""
+    import cv2
+
+    height, width = there.shape
+    kernel = np.ones((NEIGHBOURS, NEIGHBOURS), np.uint8)
+    there = np.where(np.isfinite(there), there, np.float32(0))  # no point has that depth
+    near = np.asarray(cv2.erode(there, kernel), np.float32)
+    far = np.asarray(cv2.dilate(there, kernel), np.float32)
+    with np.errstate(all="ignore"):
+        nowhere = ~(np.isfinite(u + v) & (np.abs(u) < 2 * width) & (np.abs(v) < 2 * height))
+        x, y = (np.where(nowhere, -1, each).astype(np.float32) for each in (u, v))
+        gap = np.maximum(depth - _sample(near, x, y), _sample(far, x, y) - depth) / depth
+        border = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y)) + 0.5
+        spans = np.abs(
+            np.gradient(x, axis=1) * np.gradient(y, axis=0)
+            - np.gradient(x, axis=0) * np.gradient(y, axis=1)
+        )
+        share = (
+            _ramp(gap, ANOTHER, SAME)
+            * _ramp(border, BORDER, INSIDE)
+            * _ramp(spans, TOO_COARSE, FINE_ENOUGH)
+        )
+    return np.where(nowhere | ~np.isfinite(share), 0, share).astype(np.float32), x, y
+
+
+def _ramp(values: NDArray[np.floating], none: float, full: float) -> NDArray[np.floating]:
+    """0 at `none`, 1 at `full`, between them on a line."""
+    return np.clip((values - none) / (full - none), 0, 1)
+
+
+def _sample(picture: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """A picture's values at (H, W) places: cubic for colours, which linear would blur."""
+    import cv2
+
+    how = cv2.INTER_CUBIC if picture.ndim == 3 else cv2.INTER_LINEAR
+    sampled = cv2.remap(np.ascontiguousarray(picture), x, y, how, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled, np.float32)
