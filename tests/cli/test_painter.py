@@ -166,15 +166,12 @@ def test_a_style_is_painted_once_and_own_colours_view_by_view(
     scene: Scene, recovered: Recovered, pictures: FloatArray
 ) -> None:
     pictures[0], pictures[1] = (0.8, 0.2, 0.2), (0.2, 0.2, 0.8)
-    first, second = (
+    own, styled = (
         middle(seen(paint(Brush(pictures), scene, recovered)(strength=strength)[0], recovered)[1])
         for strength in (0.0, 1.0)
     )
     shared = np.s_[4:-4, : SIDE // 2 - 2]  # of the second view: what the first sees, too
     np.testing.assert_allclose(
-        second[shared], np.broadcast_to(pictures[0, 0, 0], second[shared].shape), atol=0.1
+        styled[shared], np.broadcast_to(pictures[0, 0, 0], styled[shared].shape), atol=0.1
     )
-    assert (
-        np.abs(first[shared] - pictures[1, 0, 0]).mean()
-        < np.abs(first[shared] - pictures[0, 0, 0]).mean()
-    )
+    assert own[shared][..., 2].min() > 0.4  # half of what each view says
