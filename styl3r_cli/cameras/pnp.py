@@ -9,17 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.pointmap import INLIER_FRACTION, pixel_centres, reprojection_errors
+from styl3r_cli.cameras.pointmap import (
+    INLIER_FRACTION,
+    LEAST_AGREEMENT,
+    WIDE_FRACTION,
+    pixel_centres,
+    reprojection_errors,
+)
 
-# Poor point maps, of which hardly any point is within 1 %, get a second search that allows 4 %.
-WIDE_FRACTION = 0.04
 # P3P with 60 % outliers needs 355 samples to be 99.99 % sure; the rest is for worse maps.
 SAMPLES, CONFIDENCE = 1000, 0.9999
 MOST_POINTS = 8192  # for refinement: beyond, the pose hardly gets better, only slower
 STRIDE = 8  # every hypothesis is tested on all its points, so RANSAC gets every 8th
 FEWEST_POINTS = 12  # three times what one hypothesis needs; fewer agree by chance
-LEAST_AGREEMENT = 0.1  # a pose that a smaller share of the points supports is not believed
-GOOD_AGREEMENT = 0.3  # below, the wide threshold is tried
+GOOD_AGREEMENT = 0.3  # below, a second search allows the wide threshold
 REFINEMENTS = 3  # rounds of Levenberg-Marquardt on the inliers, which then are found anew
 FLAT = 1e-4  # points on a line, or in one place, to this relative extent have no pose
 FAR = 10.0  # times the median distance: points beyond count as if they were there

@@ -16,6 +16,11 @@ SMALLEST_RESIDUAL = (
 )
 FEWEST_POINTS = 12
 ENOUGH_POINTS = 16384  # every so many-th of larger maps; one number needs no more
+WIDE_FRACTION = 0.04  # for poor point maps, of which hardly any point is within 1 %
+LEAST_AGREEMENT = 0.1  # a pose or a lens that a smaller share of the points supports is no answer
+# A focal length on which half the points agree needs no second opinion, and one on which a quarter
+# more agree than on the first is better.
+CERTAIN, CLEARLY_MORE = 0.5, 1.25
 # Focal lengths in units of the longer side that a lens can have: 157 to 3 degrees.
 SHORTEST, LONGEST = 0.1, 20.0
 
@@ -74,7 +79,8 @@ def estimate_focal(
     Minimises the sum of | (pixel - principal point) / f - (X/Z, Y/Z) |, not squared, so that
     outliers count little, by Weiszfeld's iteratively reweighted least squares. DUSt3R (arXiv
     2312.14132, section 3.3) minimises f times these residuals; leaving the factor out keeps points
-    near the image plane, whose X/Z is huge, from pulling f towards 0.
+    near the image plane, whose X/Z is huge, from pulling f towards 0. Where most points disagree
+    with that, the focal length on which most agree is taken, if those are clearly more.
 
     Args:
         points: (H, W, 3) in the frame of the camera that saw them.
@@ -82,7 +88,7 @@ def estimate_focal(
         camera: gives the principal point and the ratio fy / fx.
 
     Returns:
-        Pixels; None where too few points are in front of the camera or no lens would fit.
+        Pixels; None where too few points are in front of the camera, or no lens fits a tenth.
     """
     flat = points.reshape(-1, 3).astype(np.float64)
     centre = np.array([camera.cx, camera.cy])
@@ -94,13 +100,72 @@ def estimate_focal(
     kept = kept[:: -(-len(kept) // ENOUGH_POINTS)]
     weights = opacities.ravel()[kept].astype(np.float64)
     rays, pixels = flat[kept, :2] / flat[kept, 2:], pixels[kept] * [1, camera.fx / camera.fy]
+    longer = max(camera.width, camera.height)
+    inverse = _least_distances(rays, pixels, weights)
+    share = _agreement(rays, pixels, weights, inverse, INLIER_FRACTION * longer)
+    if share < CERTAIN:
+        other = _consensus(rays, pixels, weights, INLIER_FRACTION * longer)
+        agreement = _agreement(rays, pixels, weights, other, INLIER_FRACTION * longer)
+        if agreement > CLEARLY_MORE * share:
+            inverse = other
+        wide = _agreement(rays, pixels, weights, inverse, WIDE_FRACTION * longer)
+        if wide < LEAST_AGREEMENT:
+            return None
+    focal = 1 / inverse if inverse > 0 else 0.0
+    return focal if SHORTEST <= focal / longer <= LONGEST else None
+
+
+def _least_distances(
+    rays: NDArray[np.float64], pixels: NDArray[np.float64], weights: NDArray[np.float64]
+) -> float:
+    """The inverse focal length that minimises the sum of distances; see `estimate_focal`."""
     along, across = (rays * pixels).sum(axis=1), (pixels * pixels).sum(axis=1)
-    # The inverse focal length; the pixels' own answers' median is close enough to start from.
+    # The pixels' own answers' median is close enough to start from.
     inverse = float(np.median(along[across > 0] / across[across > 0]))
     for _ in range(WEISZFELD_ROUNDS):
         residuals = np.linalg.norm(rays - inverse * pixels, axis=1)
         robust = weights / np.maximum(residuals, SMALLEST_RESIDUAL)
         inverse = float((robust * along).sum() / (robust * across).sum())
-    focal = 1 / inverse if inverse > 0 else 0.0
-    relative = focal / max(camera.width, camera.height)
-    return focal if SHORTEST <= relative <= LONGEST else None
+    return inverse
+
+
+def _consensus(
+    rays: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    threshold: float,
+) -> float:
+    """The inverse focal length that most points agree with to `threshold` pixels; 0 for none.
+
+    Each point agrees with an interval of them, between the roots of a quadratic equation; where
+    most intervals overlap is found by sorting their ends. Refined on the points that agree.
+    """
+    quadratic = (pixels * pixels).sum(axis=1) - threshold**2
+    linear, constant = (rays * pixels).sum(axis=1), (rays * rays).sum(axis=1)
+    discriminant = linear**2 - quadratic * constant
+    # Pixels next to the principal point agree with everything and say nothing.
+    telling = (quadratic > 0) & (linear > 0) & (discriminant >= 0)
+    if not telling.any():
+        return 0.0
+    root, middle, scale = (
+        values[telling] for values in (np.sqrt(discriminant.clip(0)), linear, quadratic)
+    )
+    ends = np.concatenate([(middle - root) / scale, (middle + root) / scale])
+    order = np.argsort(ends, kind="stable")
+    support = np.cumsum(np.concatenate([weights[telling], -weights[telling]])[order])
+    best = int(np.argmax(support[:-1]))
+    inverse = float(ends[order[best : best + 2]].mean())
+    agree = np.linalg.norm(rays - inverse * pixels, axis=1) < threshold * inverse
+    return _least_distances(rays[agree], pixels[agree], weights[agree])
+
+
+def _agreement(
+    rays: NDArray[np.float64],
+    pixels: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    inverse: float,
+    threshold: float,
+) -> float:
+    """The share of points within `threshold` pixels of their own, by weight."""
+    agree = np.linalg.norm(rays - inverse * pixels, axis=1) < threshold * inverse
+    return float(weights[agree].sum() / weights.sum())
