@@ -31,8 +31,10 @@ MEANINGS = {
 }
 # How shells report a program that a signal ended; nothing is said then.
 BROKEN_PIPE = 128 + 13  # SIGPIPE
+HANGUP = 128 + 1  # SIGHUP
 TERMINATED = 128 + 15  # SIGTERM
 SIGNALS = {
+    HANGUP: "its terminal was closed (SIGHUP)",
     BROKEN_PIPE: "whoever read standard output has closed it",
     TERMINATED: "told to end (SIGTERM)",
 }

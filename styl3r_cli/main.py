@@ -15,7 +15,7 @@ from typing import NoReturn
 import click
 
 from styl3r_cli import __version__, console, memory
-from styl3r_cli.errors import BROKEN_PIPE, MEANINGS, TERMINATED, ExitCode, Styl3rError
+from styl3r_cli.errors import BROKEN_PIPE, HANGUP, MEANINGS, TERMINATED, ExitCode, Styl3rError
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
 # so that the list of commands needs none of their libraries.
@@ -126,6 +126,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit (the console script's entry point)."""
     _fill_standard_streams()
     signal.signal(signal.SIGTERM, _terminate)
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
+    if hangup and signal.getsignal(hangup) is signal.SIG_DFL:  # under nohup it is ignored
+        signal.signal(hangup, _terminate)
     if not sys.warnoptions:  # libraries' remarks on odd files are not for users; python -W shows
         warnings.simplefilter("ignore")
     sys.exit(run(arguments))
@@ -187,6 +190,6 @@ def _fail(message: str, code: ExitCode) -> int:
     return code
 
 
-def _terminate(_signal: int, _frame: object) -> NoReturn:
+def _terminate(number: int, _frame: object) -> NoReturn:
     """Unwind instead of dying, so that temporary files are removed."""
-    sys.exit(TERMINATED)
+    sys.exit(TERMINATED if number == signal.SIGTERM else HANGUP)

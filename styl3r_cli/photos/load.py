@@ -24,6 +24,8 @@ DEFAULT_SIZE = (256, 256)  # what it was trained on
 STYLE_SIDE = 256
 # Covering a square with a picture longer than this would enlarge it to gigabytes.
 MAX_ASPECT = 100
+# Each is a Gaussian, and attention grows with their square: few machines can do a quarter of that.
+MOST_PIXELS = 4096 * 4096
 DECODERS = 2  # full-size photos in memory at once
 
 
@@ -98,6 +100,8 @@ def load_photos(
     """
     if any(side < PATCH or side % PATCH for side in size):
         raise UsageError(f"size {size[1]}x{size[0]}: width and height must be multiples of {PATCH}")
+    if size[0] * size[1] > MOST_PIXELS:
+        raise UsageError(f"size {size[1]}x{size[0]}: at most 4096x4096, or as many pixels")
     if len(paths) < MIN_VIEWS:
         given = "no photo was" if not paths else f"only one photo was given ({paths[0]})"
         raise InputError(f"{given}{'' if paths else ' given'}; a scene needs 2 to 8 views of it")

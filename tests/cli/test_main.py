@@ -17,6 +17,8 @@ from styl3r_cli.errors import ExitCode, InputError, ModelError, OutputError, Usa
 
 HEAVY = ("numpy", "cv2", "onnxruntime", "numba", "av", "PIL", "torch")
 
+SIGHUP = getattr(signal, "SIGHUP", 1)  # Windows has none
+
 
 def python(code: str) -> str:
     """What a program prints."""
@@ -163,13 +165,19 @@ def test_interruptions_are_quiet(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (SIGHUP, 129)]
+)
 def test_signals_end_a_run_quietly(tmp_path: Path, number: int, code: int) -> None:
     fifo = tmp_path / "scene.ply"
     os.mkfifo(fifo)
     command = [sys.executable, "-m", "styl3r_cli", "render", str(fifo), "-o", "x.mp4"]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=tmp_path,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # nohup would ignore SIGHUP
     )
     with fifo.open("wb"):  # opens when the program has opened it for reading
         time.sleep(0.1)

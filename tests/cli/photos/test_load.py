@@ -155,6 +155,8 @@ def test_slivers_and_odd_sizes_are_refused(tmp_path: Path) -> None:
         load_style(tmp_path / "sliver.png")
     with pytest.raises(UsageError, match="multiples of 16"):
         load_photos(paths, (250, 256))
+    with pytest.raises(UsageError, match="99984x99984: at most 4096x4096"):
+        load_photos(paths, (99984, 99984))
 
 
 def test_style(tmp_path: Path) -> None:
