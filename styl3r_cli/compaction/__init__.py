@@ -3,13 +3,14 @@
 Importing it loads numba, so commands import it when they use it.
 """
 
-from styl3r_cli.compaction.compaction import DROPPED, Compaction
-from styl3r_cli.compaction.search import everything, keep_count, keep_decibels
+from styl3r_cli.compaction.compaction import DROPPED, Compaction, everything
+from styl3r_cli.compaction.search import Compactor, keep_count, keep_decibels
 from styl3r_cli.compaction.witnesses import in_between, witnesses
 
 __all__ = [
     "DROPPED",
     "Compaction",
+    "Compactor",
     "everything",
     "in_between",
     "keep_count",

@@ -8,128 +8,220 @@ from collections.abc import Sequence
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.compaction.compaction import (
-    DROPPED,
-    REFIT_STEPS,
-    ROUGH_STEPS,
-    Attempt,
-    Compaction,
-    as_compaction,
-    attempt,
-    decibels,
-)
-from styl3r_cli.compaction.survey import Survey, survey
-from styl3r_cli.fitting.refit import squared_errors
-from styl3r_cli.fitting.tracing import look
-from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.compaction.attempts import Attempt, Merged, attempt, merge_cut
+from styl3r_cli.compaction.compaction import DROPPED, Compaction, decibels, everything
+from styl3r_cli.compaction.cuts import Splits
+from styl3r_cli.compaction.survey import survey
+from styl3r_cli.fitting.refit import Target, squared_errors
+from styl3r_cli.fitting.tracing import Trace, look
+from styl3r_cli.gaussians import FloatArray, Gaussians
 
-# A budget is reached by way of coarser cuts, whose measured errors say where to split: with none
-# on the way it is 3 dB worse, with two 0.4 dB better than with one.
-STAGES = (0.6, 1.0)
-# The search for decibels: where it begins, and how it goes on where two points are not known yet.
-FIRST_SHARE, DECIBELS_PER_DOUBLING = 0.12, 8.0
-LEAST_STEP, LARGEST_STEP = 1.04, 2.5
-MARGIN = 0.25  # decibels that are aimed at above what was asked for: one attempt less, on average
-WASTE = 0.8  # decibels too many are worth one more attempt
+# Steps of the colours' least squares: a fourth and fifth gain 0.3 dB together. One, where only the
+# errors' places are wanted.
+REFIT_STEPS, ROUGH_STEPS = 3, 1
+# A cut is found by way of a coarser one, whose measured errors say where to split: that is worth
+# 3 dB. The way to a budget begins with that share of it, the way to a promise with what the tree
+# foretells for so many decibels less: the tree sees the errors of colours twice to four times as
+# large as they are, and knows nothing of gaps.
+BEGIN_SHARE, BEGIN_BELOW = 0.6, 4.0
+# Errors shrink a little more slowly than foretold; and what is aimed at above what was asked for
+# makes most second attempts the last.
+OPTIMISM, MARGIN = 1.1, 0.3
+LEAST_STEP, LARGEST_STEP = 1.01, 2.5
+LEAST_SLOPE = 2.0  # decibels per doubling: what two attempts that hardly differ are taken for
+WASTE = 2.0  # decibels too many are worth one more attempt
 FINE = 0.97  # a share of what is known to do that is no longer worth an attempt
 MOST_ATTEMPTS = 8
+
+
+class Compactor:
+    """A scene, looked at once, and compacted as often as it gets other colours.
+
+    Geometry is sorted by the colours that it comes with; which of it is merged is decided for each
+    colouring on its own, from errors measured in it, so that each has what it was promised.
+
+    Example:
+        >>> compactor = Compactor(scene, witnesses(views, scene))
+        >>> small = compactor.keep_decibels(scene.colours, 45.0)
+    """
+
+    def __init__(
+        self,
+        scene: Gaussians,
+        cameras: Sequence[Camera],
+        threads: int | None = None,
+        traced: Sequence[tuple[Camera, Trace]] = (),
+    ) -> None:
+        """Survey the scene.
+
+        Args:
+            scene: the G Gaussians.
+            cameras: the witnesses.
+            threads: None for every core.
+            traced: what some of the witnesses see of the scene, if that is known.
+        """
+        self.threads = threads
+        self.known = survey(scene, cameras, threads, traced)
+        self._begun: tuple[int, Merged] | None = None
+
+    def keep_decibels(self, colours: FloatArray, target: float) -> Compaction:
+        """As few Gaussians as keep every witness's frame within `target` decibels (PSNR).
+
+        Measured: each attempt is drawn. The first is coarse on purpose, the others refine it.
+
+        Args:
+            colours: (G, 3) sRGB.
+            target: PSNR against the whole scene, at the witness that differs most.
+        """
+        known, targets = self.known, self.known.targets(colours)
+        shown = self._shown(colours)
+        most = len(known.seen)
+        count = self._begin(targets, target)
+        failed: list[Attempt] = []
+        done: Attempt | None = None
+        for number in range(MOST_ATTEMPTS):
+            if count >= FINE * (most if done is None else len(done.gaussians)):
+                break
+            steps = REFIT_STEPS if number else ROUGH_STEPS
+            above = failed[-1] if failed else None
+            made = self._attempt(count, above, shown, targets, steps)
+            if made.worst >= target:
+                done = made
+                if made.worst - target < WASTE:
+                    break
+            else:
+                failed.append(made)
+            count = self._next(failed, done, target)
+        if done is not None:
+            return self._result(done)
+        result = self.without_unseen(colours)
+        whole = known.scene.with_colours(colours)
+        return result if result.worst >= target else everything(whole, known.cameras)
+
+    def keep_count(self, colours: FloatArray, count: int) -> Compaction:
+        """At most `count` Gaussians, so that the witnesses see as little difference as possible.
+
+        Args:
+            colours: (G, 3) sRGB.
+            count: at least 1.
+        """
+        if count >= len(self.known.seen):
+            return self.without_unseen(colours)
+        targets, shown = self.known.targets(colours), self._shown(colours)
+        first = max(1, round(BEGIN_SHARE * count))
+        rough = self._attempt(first, None, shown, targets, ROUGH_STEPS)
+        return self._result(self._attempt(count, rough, shown, targets, REFIT_STEPS))
+
+    def without_unseen(self, colours: FloatArray) -> Compaction:
+        """Only what no witness sees is left out, and the rest is as it was."""
+        known = self.known
+        labels = np.full(len(known.scene), DROPPED, np.int64)
+        labels[known.seen] = np.arange(len(known.seen))
+        left = known.gaussians.with_colours(colours[known.seen])
+        traces = look(left, known.cameras, self.threads)
+        errors = [
+            squared_errors(target, each.picture, each.through)
+            for target, each in zip(known.targets(colours), traces, strict=True)
+        ]
+        return Compaction(left, labels, known.cameras, decibels(errors))
+
+    def _shown(self, colours: FloatArray) -> FloatArray:
+        """Colours of what is seen; the very ones of the survey, if they are the scene's."""
+        known = self.known
+        own = colours is known.scene.colours
+        return known.gaussians.colours if own else colours[known.seen]
+
+    def _attempt(
+        self,
+        count: int,
+        above: Attempt | None,
+        colours: FloatArray,
+        targets: Sequence[Target],
+        steps: int,
+    ) -> Attempt:
+        if above is None:
+            merged = self._first(count)
+        else:
+            merged = merge_cut(self.known, self._splits(above).cut(count), self.threads)
+        return attempt(self.known, merged, colours, targets, steps, self.threads)
+
+    def _first(self, count: int) -> Merged:
+        """A cut as the tree has it: all colours begin with the same one."""
+        if self._begun is None or self._begun[0] != count:
+            merged = merge_cut(self.known, self._splits(None).cut(count), self.threads)
+            self._begun = count, merged
+        return self._begun[1]
+
+    def _splits(self, above: Attempt | None) -> Splits:
+        tree = self.known.tree
+        assert tree is not None
+        if above is None:
+            return Splits.of(tree)
+        return Splits.of(tree, above.cut, above.corrections(tree.errors))
+
+    def _begin(self, targets: Sequence[Target], target: float) -> int:
+        if self.known.tree is None:
+            return 0
+        return self._splits(None).count_for(_error(targets, target - BEGIN_BELOW))
+
+    def _next(self, failed: Sequence[Attempt], done: Attempt | None, target: float) -> int:
+        """How many Gaussians to try after attempts that did not do, or did far too well."""
+        if done is not None:
+            return _between(failed[-1], done, target) if failed else self._fewer(done, target)
+        more = self._more(failed[-1], target)
+        return max(more, _between(failed[-2], failed[-1], target)) if len(failed) > 1 else more
+
+    def _more(self, failed: Attempt, target: float) -> int:
+        """How many should do, by the errors of an attempt that did not."""
+        lacking = OPTIMISM * (target - failed.worst) + MARGIN
+        error = float(failed.errors.sum()) * 10 ** (-0.1 * lacking)
+        return _step(failed, self._splits(failed).count_for(error))
+
+    def _fewer(self, made: Attempt, target: float) -> int:
+        """How many should nearly do, by an attempt that did far too well."""
+        tree = self.known.tree
+        assert tree is not None
+        excess = OPTIMISM * (made.worst - target) + MARGIN
+        foretold = float(tree.errors[made.cut.nodes].sum())
+        return self._splits(None).count_for(foretold * 10 ** (0.1 * excess))
+
+    def _result(self, made: Attempt) -> Compaction:
+        labels = np.full(len(self.known.scene), DROPPED, np.int64)
+        labels[self.known.seen] = made.cut.labels
+        return Compaction(made.gaussians, labels, self.known.cameras, made.decibels)
 
 
 def keep_count(
     scene: Gaussians, cameras: Sequence[Camera], count: int, threads: int | None = None
 ) -> Compaction:
-    """At most `count` Gaussians, so that the witnesses see as little difference as possible.
-
-    Args:
-        scene: the Gaussians.
-        cameras: the witnesses.
-        count: at least 1.
-        threads: None for every core.
-    """
-    known = survey(scene, cameras, threads)
-    if count >= len(known.seen):
-        return _without_unseen(scene, known, threads)
-    made: Attempt | None = None
-    for stage in STAGES:
-        steps = REFIT_STEPS if stage == STAGES[-1] else ROUGH_STEPS
-        made = attempt(known, max(1, round(stage * count)), made, steps, threads)
-    assert made is not None
-    return as_compaction(known, len(scene), made)
+    """At most `count` of a scene's Gaussians; see `Compactor.keep_count`."""
+    return Compactor(scene, cameras, threads).keep_count(scene.colours, count)
 
 
 def keep_decibels(
     scene: Gaussians, cameras: Sequence[Camera], target: float, threads: int | None = None
 ) -> Compaction:
-    """As few Gaussians as keep every witness's frame within `target` decibels (PSNR).
+    """As few Gaussians as keep `target` decibels; see `Compactor.keep_decibels`."""
+    return Compactor(scene, cameras, threads).keep_decibels(scene.colours, target)
 
-    Measured: each attempt is drawn. From a coarse cut the search grows along the line through its
-    last two points, then goes back once between them if it went too far.
 
-    Args:
-        scene: the Gaussians.
-        cameras: the witnesses.
-        target: PSNR against the whole scene, at the witness that differs most.
-        threads: None for every core.
+def _error(targets: Sequence[Target], decibels: float) -> float:
+    """The sum of squared errors of frames that differ by so many decibels."""
+    return sum(each.picture.size for each in targets) * 10 ** (-0.1 * decibels)
+
+
+def _between(one: Attempt, two: Attempt, target: float) -> int:
+    """Where decibels over the logarithm of the count, a line through two attempts, meet a target.
+
+    The line goes on beyond the second.
     """
-    known = survey(scene, cameras, threads)
-    most = len(known.seen)
-    failed: Attempt | None = None
-    done: Attempt | None = None
-    count, slope = max(1, round(FIRST_SHARE * len(scene))), DECIBELS_PER_DOUBLING
-    for _ in range(MOST_ATTEMPTS):
-        if count >= most:
-            break
-        made = attempt(known, count, failed, REFIT_STEPS, threads)
-        if made.worst >= target:
-            done = made
-            if failed is None or made.worst - target < WASTE:
-                break
-        else:
-            slope = _slope(failed, made, slope)
-            failed = made
-        step = _step(target, slope, failed, done)
-        count = math.ceil(len(failed.gaussians) * step)
-        if done is not None and count >= FINE * len(done.gaussians):
-            break
-    if done is not None:
-        return as_compaction(known, len(scene), done)
-    result = _without_unseen(scene, known, threads)
-    return result if result.worst >= target else everything(scene, cameras)
+    few, many = len(one.gaussians), len(two.gaussians)
+    slope = max((two.worst - one.worst) / math.log2(many / few), LEAST_SLOPE)
+    lacking = (target + MARGIN - one.worst) / slope
+    return _step(one, few * 2 ** min(lacking, math.log2(many / few) + math.log2(LARGEST_STEP)))
 
 
-def everything(scene: Gaussians, cameras: Sequence[Camera]) -> Compaction:
-    """The scene as it is."""
-    count = len(scene)
-    nothing_lost = [math.inf] * len(cameras)
-    return Compaction(
-        scene, np.arange(count), np.ones(count, np.float32), list(cameras), nothing_lost
-    )
-
-
-def _slope(before: Attempt | None, now: Attempt, otherwise: float) -> float:
-    """Decibels per doubling between two attempts."""
-    if before is None:
-        return otherwise
-    doublings = math.log2(len(now.gaussians) / len(before.gaussians))
-    return max((now.worst - before.worst) / max(doublings, 1e-3), 1.0)
-
-
-def _step(target: float, slope: float, failed: Attempt, done: Attempt | None) -> float:
-    """By what to multiply the last failed count, so that the line meets the target."""
-    if done is not None:
-        slope = _slope(failed, done, slope)
-    step = 2 ** ((target + MARGIN - failed.worst) / slope)
-    return min(max(step, LEAST_STEP), LARGEST_STEP)
-
-
-def _without_unseen(scene: Gaussians, known: Survey, threads: int | None) -> Compaction:
-    """Only what no witness sees is left out, and the rest is as it was."""
-    labels = np.full(len(scene), DROPPED, np.int64)
-    labels[known.seen] = np.arange(len(known.seen))
-    traces = look(known.gaussians, known.cameras, threads)
-    errors = [
-        squared_errors(target, each.picture, each.through)
-        for target, each in zip(known.targets, traces, strict=True)
-    ]
-    weights = np.ones(len(scene), np.float32)
-    return Compaction(known.gaussians, labels, weights, known.cameras, decibels(errors))
+def _step(failed: Attempt, count: float) -> int:
+    """A count within reach of a failed attempt's."""
+    few = len(failed.gaussians)
+    return math.ceil(min(max(count, LEAST_STEP * few), LARGEST_STEP * few)) + 1

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.poses import centre
 from styl3r_cli.compaction.tree import Tree, build_tree
 from styl3r_cli.fitting.refit import Target
-from styl3r_cli.fitting.tracing import SMALLEST_SHARE, look
-from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.splatting.constants import ALPHA_MIN
+from styl3r_cli.fitting.tracing import SMALLEST_SHARE, Trace, look
+from styl3r_cli.gaussians import FloatArray, Gaussians
 
 # Part of a pixel that every Gaussian counts for, so that a node of hardly seen ones has a mean.
 LEAST_WEIGHT = 1e-3
@@ -21,60 +21,68 @@ LEAST_WEIGHT = 1e-3
 
 @dataclass(frozen=True)
 class Survey:
-    """A scene as its witnesses see it.
+    """A scene as its witnesses see it, in the colours that it had then.
 
     Attributes:
+        scene: all G Gaussians.
         cameras: the witnesses.
-        targets: how each one's frame looks, with all Gaussians.
-        drawable: (D,) indices of the Gaussians that any camera could see at all.
-        seen: (S,) indices of those that a witness sees.
+        traces: what each one sees of the scene.
+        seen: (S,) indices of the Gaussians that a witness sees.
         gaussians: the S seen ones.
         weights: (S,) how many pixels show each.
         pixel_sizes: (S,) side of a pixel at its depth, of the nearest witness, scene units.
         tree: over the S seen ones; None if there are none.
     """
 
+    scene: Gaussians
     cameras: list[Camera]
-    targets: list[Target]
-    drawable: NDArray[np.intp]
+    traces: list[Trace]
     seen: NDArray[np.intp]
     gaussians: Gaussians
     weights: NDArray[np.float64]
     pixel_sizes: NDArray[np.float64]
     tree: Tree | None
 
+    def targets(self, colours: FloatArray) -> list[Target]:
+        """How each witness's frame looks, with all Gaussians in these (G, 3) colours."""
+        if colours is self.scene.colours:
+            return [Target.of(each) for each in self.traces]
+        change = colours - self.scene.colours
+        return [Target.of(each.recoloured(change)) for each in self.traces]
 
-def survey(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None = None) -> Survey:
+
+def survey(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    threads: int | None = None,
+    traced: Sequence[tuple[Camera, Trace]] = (),
+) -> Survey:
     """Look at a scene from every witness, and sort what is seen into a tree.
+
+    What is seen is whatever can be drawn (finite, an opacity that 8 bits can show) and has a pixel
+    that shows some of it.
 
     Args:
         gaussians: the scene.
         cameras: at least one.
         threads: None for every core.
+        traced: what some of the cameras see of these very Gaussians, if that is known.
     """
-    drawable = np.flatnonzero(can_be_drawn(gaussians))
-    scene = gaussians.select(drawable)
-    traces = look(scene, cameras, threads)
-    weights, largest = np.zeros(len(scene)), np.zeros(len(scene), np.float32)
+    traces = _look(gaussians, cameras, threads, traced)
+    weights, largest = np.zeros(len(gaussians)), np.zeros(len(gaussians), np.float32)
     for each in traces:
         total, most = each.seen()
         weights += total
         np.maximum(largest, most, out=largest)
     seen = np.flatnonzero(largest >= SMALLEST_SHARE)
-    shown = scene.select(seen)
+    shown = gaussians.select(seen)
     weights = weights[seen] + LEAST_WEIGHT
     sizes = pixel_sizes(shown, cameras)
-    tree = build_tree(shown.means, shown.colours, weights, sizes) if len(seen) else None
-    targets = [Target.of(each) for each in traces]
-    return Survey(list(cameras), targets, drawable, drawable[seen], shown, weights, sizes, tree)
-
-
-def can_be_drawn(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """(G,) whether any camera could see it: finite, and an opacity that 8 bits can show."""
-    drawn = gaussians.opacities >= ALPHA_MIN  # false for NaN
-    for array in (gaussians.means, gaussians.scales, gaussians.rotations, gaussians.colours):
-        drawn &= np.isfinite(array).all(axis=1)
-    return drawn & np.isfinite(gaussians.opacities) & gaussians.rotations.any(axis=1)
+    eye = np.mean([centre(camera.extrinsics) for camera in cameras], axis=0)
+    tree = None
+    if len(seen):
+        tree = build_tree(shown.means, shown.colours, weights, sizes, eye, threads)
+    return Survey(gaussians, list(cameras), traces, seen, shown, weights, sizes, tree)
 
 
 def pixel_sizes(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float64]:
@@ -85,3 +93,23 @@ def pixel_sizes(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.f
         behind = depths <= 0
         np.minimum(sizes, np.where(behind, np.inf, depths / camera.fx), out=sizes)
     return sizes
+
+
+def _look(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    threads: int | None,
+    traced: Sequence[tuple[Camera, Trace]],
+) -> list[Trace]:
+    """What every camera sees; those that have looked already need not do so again."""
+    known = [
+        next((trace for other, trace in traced if _same(camera, other)), None) for camera in cameras
+    ]
+    others = [camera for camera, trace in zip(cameras, known, strict=True) if trace is None]
+    found = iter(look(gaussians, others, threads))
+    return [trace or next(found) for trace in known]
+
+
+def _same(a: Camera, b: Camera) -> bool:
+    lenses = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in (a, b)]
+    return lenses[0] == lenses[1] and np.array_equal(a.extrinsics, b.extrinsics)

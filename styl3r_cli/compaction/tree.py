@@ -2,6 +2,7 @@
 
 Built from the top: a node is halved across the direction in which its members differ most, in
 position (in pixels) and colour together, so that edges in the picture become edges between nodes.
+Depth counts double, so that what lies behind a surface is not merged into it.
 """
 
 # numba infers the types of the kernels.
@@ -16,11 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.gaussians import FloatArray
-from styl3r_cli.splatting.compiler import inlined, kernel
+from styl3r_cli.splatting.compiler import inlined, kernel, parallel_for
 
 # How many pixels apart two Gaussians must be to differ as much as black and white do. Measured
 # (evaluate/compaction_curve): 5 to 20 are within 0.3 dB.
 COLOUR_REACH = 10.0
+# How much more a distance along the line of sight counts than one across it: what is merged with
+# something behind it covers more than before. Measured: 2 is 1.5 to 2 dB better than 1.
+DEPTH_STRETCH = 2.0
 # What a squared pixel of extent costs beside squared colour differences: little, it decides
 # between nodes of one colour only, of which the largest is then split first.
 EXTENT_COST = 1e-4
@@ -52,148 +56,134 @@ class Tree:
     errors: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Cut:
-    """Nodes that hold every Gaussian once.
-
-    Attributes:
-        nodes: (K,) indices.
-        labels: (G,) which of them each Gaussian is in.
-        split: (N,) the nodes above.
-    """
-
-    nodes: NDArray[np.int64]
-    labels: NDArray[np.int64]
-    split: NDArray[np.bool_]
-
-
 def build_tree(
     means: FloatArray,
     colours: FloatArray,
     weights: NDArray[np.float64],
     pixel_sizes: NDArray[np.float64],
+    eye: NDArray[np.floating] | None = None,
+    threads: int | None = None,
 ) -> Tree:
-    """Build the tree of (G, 3) means and colours.
+    """Build the tree of (G, 3) means and colours, the same for any number of threads.
 
     Args:
         means: in scene units.
         colours: sRGB.
         weights: (G,) how many pixels show each Gaussian; positive.
         pixel_sizes: (G,) side of a pixel at its depth, scene units.
+        eye: (3,) from where the scene is looked at, about; None if depth is to count no more.
+        threads: None for every core.
     """
     count = 2 * len(means) - 1
     starts, ends = np.zeros(count, np.int32), np.zeros(count, np.int32)
-    parents, leaves = np.full(count, -1, np.int32), np.zeros(count, np.bool_)
-    errors = np.zeros(count)
+    parents, errors = np.full(count, -1, np.int32), np.zeros(count)
     features = np.concatenate([means, colours], axis=1, dtype=np.float64)
-    order = np.arange(len(means))
-    _build(features, weights, pixel_sizes, order, starts, ends, parents, leaves, errors)
-    return Tree(order, starts, ends, parents, leaves, errors)
-
-
-def cut_tree(
-    tree: Tree,
-    count: int,
-    above: Cut | None = None,
-    corrections: NDArray[np.float64] | None = None,
-) -> Cut:
-    """Split the nodes with the largest errors until there are `count`.
-
-    Args:
-        tree: to cut.
-        count: how many nodes to end with, at most one a Gaussian.
-        above: a cut that this one refines.
-        corrections: what the errors of the nodes of `above`, and of all below them, are to be
-            multiplied by (what was measured over what the tree foretold).
-    """
-    factors = np.full(len(tree.errors), -1.0)
-    forced = np.zeros(len(tree.errors), np.bool_)
-    if above is not None:
-        forced = above.split
-        factors[above.nodes] = 1.0 if corrections is None else corrections
-    ranks = np.empty(len(tree.errors))
-    _rank(tree.errors, tree.parents, tree.leaves, factors, forced, ranks)
-    splits = min(count - 1, len(tree.order) - 1)
-    split = np.zeros(len(tree.errors), np.bool_)
-    if splits > 0:
-        # Equal ranks by index: a parent before its children.
-        split[np.argsort(-ranks, kind="stable")[:splits]] = True
-    nodes = np.flatnonzero(~split & ((tree.parents < 0) | split[tree.parents]))
-    nodes = nodes[np.argsort(tree.starts[nodes])]
-    labels = np.empty(len(tree.order), np.int64)
-    sizes = (tree.ends - tree.starts)[nodes]
-    labels[tree.order] = np.repeat(np.arange(len(nodes)), sizes)
-    return Cut(nodes, labels, split)
-
-
-@kernel
-def _rank(errors, parents, leaves, factors, forced, ranks):
-    """Errors after correction, none above its parent's; what must be split first, leaves never."""
-    factor = np.ones(len(errors))
-    for i in range(len(errors)):
-        up = parents[i]
-        if up >= 0:
-            factor[i] = factor[up]
-        if factors[i] >= 0:
-            factor[i] = factors[i]
-        ranks[i] = math.inf if forced[i] else errors[i] * factor[i]
-        if up >= 0:
-            ranks[i] = min(ranks[i], ranks[up])
-        if leaves[i]:
-            ranks[i] = -1.0
-
-
-@kernel
-def _build(features, weights, pixel_sizes, order, starts, ends, parents, leaves, errors):
-    right = np.empty(len(order), np.int64)
-    mean, spread, axis = np.empty(AXES), np.empty((AXES, AXES)), np.empty(AXES)
+    order, spare = np.arange(len(means)), np.empty(len(means), np.int64)
+    stretch = 1.0 if eye is None else DEPTH_STRETCH
+    look_from = np.zeros(3) if eye is None else np.asarray(eye, np.float64)
     ends[0] = len(order)
-    used = 1
-    for node in range(len(starts)):
-        begin, end = starts[node], ends[node]
-        if end - begin == 1:
-            leaves[node] = True
+    level, below = 0, 1  # a level's nodes have each a place for their children, before any is made
+    while level < below:
+        sizes = (ends - starts)[level:below]
+        children = below + 2 * np.cumsum(sizes > 1) - 2
+        parallel_for(
+            _split, below - level, threads,
+            level, children, features, weights, pixel_sizes, look_from, stretch, order, spare,
+            starts, ends, parents, errors, costs=np.concatenate([[0], np.cumsum(sizes)]),
+        )  # fmt: skip
+        level, below = below, int(children[-1]) + 2
+    return Tree(order, starts, ends, parents, ends - starts == 1, errors)
+
+
+@kernel
+def _split(begin, end, level, children, features, weights, pixel_sizes, eye, stretch, order, spare,
+           starts, ends, parents, errors):  # fmt: skip
+    """Halve the nodes from level + begin to level + end that have several members."""
+    mean, spread, axis = np.empty(AXES), np.empty((AXES, AXES)), np.empty(AXES)
+    apart, sight = np.empty(AXES), np.empty(3)
+    for n in range(begin, end):
+        node = level + n
+        first, last = starts[node], ends[node]
+        if last - first == 1:
             continue
-        unit = _spread(features, weights, pixel_sizes, order[begin:end], mean, spread)
+        members = order[first:last]
+        unit = _means(features, weights, pixel_sizes, members, mean)
+        more = _line_of_sight(mean, eye, stretch, sight)
+        _spread(features, weights, members, mean, unit, sight, more, apart, spread)
         extent = spread[0, 0] + spread[1, 1] + spread[2, 2]
         contrast = (spread[3, 3] + spread[4, 4] + spread[5, 5]) / COLOUR_REACH**2
         errors[node] = contrast + EXTENT_COST * extent
-        _principal(spread, axis, ITERATIONS if end - begin > 3 else PAIR_ITERATIONS)
-        middle = begin + _partition(features, mean, unit, axis, order[begin:end], right)
-        if middle in (begin, end):  # all alike
-            middle = (begin + end) // 2
+        _principal(spread, axis, ITERATIONS if last - first > 3 else PAIR_ITERATIONS)
+        _turn_back(axis, unit, sight, more)
+        middle = first + _partition(features, mean, axis, members, spare[first:last])
+        if middle in (first, last):  # all alike
+            middle = (first + last) // 2
         for side in range(2):
-            starts[used], ends[used] = (middle, end) if side else (begin, middle)
-            parents[used] = node
-            used += 1
+            child = children[n] + side
+            starts[child], ends[child] = (middle, last) if side else (first, middle)
+            parents[child] = node
 
 
 @inlined
-def _spread(features, weights, pixel_sizes, members, mean, spread):
-    """Weighted mean and sum of squares of members, in pixels and colours; the pixel's side."""
+def _means(features, weights, pixel_sizes, members, mean):
+    """Weighted means of positions and colours, and (returned) of the pixel's side."""
     total, unit = 0.0, 0.0
     mean[:] = 0
-    spread[:] = 0
     for i in members:
         total += weights[i]
         unit += weights[i] * pixel_sizes[i]
         for k in range(AXES):
             mean[k] += weights[i] * features[i, k]
-    unit /= total
     for k in range(AXES):
         mean[k] /= total
-    apart = np.empty(AXES)
+    return unit / total
+
+
+@inlined
+def _line_of_sight(mean, eye, stretch, sight):
+    """The direction from the eye to a place, and how much more than 1 counts along it."""
+    length = 0.0
+    for k in range(3):
+        sight[k] = mean[k] - eye[k]
+        length += sight[k] * sight[k]
+    length = math.sqrt(length)
+    if not 0 < length < math.inf:
+        sight[:] = 0
+        return 0.0
+    for k in range(3):
+        sight[k] /= length
+    return stretch - 1
+
+
+@inlined
+def _spread(features, weights, members, mean, unit, sight, more, apart, spread):
+    """Weighted sum of squares of members, in pixels (more of them in depth) and colours."""
+    spread[:] = 0
     for i in members:
+        depth = 0.0
         for k in range(3):
             apart[k] = (features[i, k] - mean[k]) / unit
             apart[k + 3] = (features[i, k + 3] - mean[k + 3]) * COLOUR_REACH
+            depth += apart[k] * sight[k]
+        for k in range(3):
+            apart[k] += more * depth * sight[k]
         for k in range(AXES):
             for m in range(k, AXES):
                 spread[k, m] += weights[i] * apart[k] * apart[m]
     for k in range(AXES):
         for m in range(k):
             spread[k, m] = spread[m, k]
-    return unit
+
+
+@inlined
+def _turn_back(axis, unit, sight, more):
+    """An axis of the spread as one for features: its products with both are the same."""
+    depth = 0.0
+    for k in range(3):
+        depth += axis[k] * sight[k]
+    for k in range(3):
+        axis[k] = (axis[k] + more * depth * sight[k]) / unit
+        axis[k + 3] *= COLOUR_REACH
 
 
 @inlined
@@ -219,15 +209,14 @@ def _principal(spread, axis, iterations):
 
 
 @inlined
-def _partition(features, mean, unit, axis, members, right):
+def _partition(features, mean, axis, members, right):
     """Members on the axis's negative side first; returns how many those are."""
     left, others = 0, 0
     for n in range(len(members)):
         i = members[n]
         side = 0.0
-        for k in range(3):
-            side += axis[k] * (features[i, k] - mean[k]) / unit
-            side += axis[k + 3] * (features[i, k + 3] - mean[k + 3]) * COLOUR_REACH
+        for k in range(AXES):
+            side += axis[k] * (features[i, k] - mean[k])
         if side < 0:
             members[left] = i
             left += 1

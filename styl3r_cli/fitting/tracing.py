@@ -55,6 +55,7 @@ class Trace:
         shares: (E,) float32 in (SMALLEST_SHARE, 1].
         picture: (P, 3) float32, the frame on black, all shares counted; not clipped.
         through: (P,) float32, transmittance: how much of what is behind the scene comes through.
+        listed: (P,) float32, sum of the pixel's shares in the matrix: a little less than the rest.
         count: how many Gaussians the scene has.
     """
 
@@ -63,6 +64,7 @@ class Trace:
     shares: FloatArray
     picture: FloatArray
     through: FloatArray
+    listed: FloatArray
     count: int
 
     def seen(self) -> tuple[NDArray[np.float64], FloatArray]:
@@ -78,8 +80,13 @@ class Trace:
         return out
 
     def recoloured(self, change: FloatArray) -> Trace:
-        """The same with (G, 3) added to the colours; what changes is drawn with the matrix."""
-        return replace(self, picture=self.picture + self.draw(change))
+        """The same with (G, 3) added to the colours; what changes is drawn with the matrix.
+
+        Shares that are too small for it change as the others of their pixel do on average.
+        """
+        nothing = np.zeros_like(self.listed)
+        whole = np.divide(1 - self.through, self.listed, out=nothing, where=self.listed > 0)
+        return replace(self, picture=self.picture + self.draw(change) * whole[:, None])
 
     def gather(self, values: FloatArray) -> FloatArray:
         """The transposed matrix times (P, 3) values of pixels: (G, 3)."""
@@ -100,7 +107,7 @@ def trace(gaussians: Gaussians, camera: Camera, near: float) -> Trace:
     colours = np.maximum(gaussians.colours, np.float32(0))
     size = camera.width * camera.height
     picture = np.zeros((size, 3), np.float32)
-    through = np.ones(size, np.float32)
+    through, listed = np.ones(size, np.float32), np.zeros(size, np.float32)
     found = []
     for band in tile_lists(splats, camera.width, camera.height, TILE, 1):
         room = min(EXPECTED_SHARES * size, max(1, len(band.members) * TILE * TILE))
@@ -112,14 +119,14 @@ def trace(gaussians: Gaussians, camera: Camera, near: float) -> Trace:
             )
             needed = _trace(
                 band.first, band.columns, band.starts, band.members, splats.rects, splats.records,
-                colours, camera.width, camera.height, picture, through, *entries,
+                colours, camera.width, camera.height, picture, through, listed, *entries,
             )  # fmt: skip
             if needed <= room:
                 break
             room = needed
         found.append([each[:needed] for each in entries])
     pixels, members, shares = (np.concatenate(each) for each in zip(*found, strict=True))
-    return Trace(pixels, members, shares, picture, np.abs(through), len(gaussians))
+    return Trace(pixels, members, shares, picture, np.abs(through), listed, len(gaussians))
 
 
 def look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:
@@ -132,7 +139,7 @@ def look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -
 
 @kernel
 def _trace(first, columns, starts, members, rects, records, colours, width, height, picture,
-           through, pixels, gaussians, shares):  # fmt: skip
+           through, listed, pixels, gaussians, shares):  # fmt: skip
     """Blend a band of tiles and list its shares; returns how many there are, even beyond room."""
     used = 0
     for k in range(len(starts) - 1):
@@ -141,6 +148,7 @@ def _trace(first, columns, starts, members, rects, records, colours, width, heig
             for x in range(x0, min(x0 + TILE, width)):
                 through[y * width + x] = _ONE
                 picture[y * width + x] = 0
+                listed[y * width + x] = 0
         for n in range(starts[k], starts[k + 1]):
             g = members[n]
             a, b = np.float32(records[g, A]), records[g, B]
@@ -171,6 +179,7 @@ def _trace(first, columns, starts, members, rects, records, colours, width, heig
                         picture[pixel, channel] += share * colours[g, channel]
                     if share < _SMALLEST:
                         continue
+                    listed[pixel] += share
                     if used < len(pixels):
                         pixels[used], gaussians[used], shares[used] = pixel, g, share
                     used += 1

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from styl3r_cli.compaction.cuts import Splits
 from styl3r_cli.compaction.merging import merge
-from styl3r_cli.compaction.tree import build_tree, cut_tree
+from styl3r_cli.compaction.tree import build_tree
 from styl3r_cli.gaussians import Gaussians
 
 
@@ -39,7 +40,7 @@ def covariances(gaussians: Gaussians) -> NDArray[np.float64]:
 def test_moments_are_kept(seed: int) -> None:
     scene, weights = some(7, seed), np.random.default_rng(seed).uniform(0.5, 2, 7)
     tree = build_tree(scene.means, scene.colours, weights, np.full(7, 0.01))
-    one = merge(scene, weights, np.full(7, 0.01), tree, cut_tree(tree, 1), widening=1.0)
+    one = merge(scene, weights, np.full(7, 0.01), tree, Splits.of(tree).cut(1), widening=0.0)
     mean = np.average(scene.means, axis=0, weights=weights)
     apart = scene.means - mean
     wanted = np.average(
@@ -56,7 +57,7 @@ def test_moments_are_kept(seed: int) -> None:
 def test_a_node_of_one_is_that_one() -> None:
     scene = some(9)
     tree = build_tree(scene.means, scene.colours, np.ones(9), np.ones(9))
-    cut = cut_tree(tree, 9)
+    cut = Splits.of(tree).cut(9)
     same = merge(scene, np.ones(9), np.ones(9), tree, cut)
     for name in ("means", "scales", "rotations", "opacities", "colours"):
         assert (getattr(same, name)[cut.labels] == getattr(scene, name)).all()
@@ -66,6 +67,6 @@ def test_two_of_the_same_hide_about_as_much_as_before() -> None:
     scene = some(1)
     twice = scene.select(np.array([0, 0]))
     tree = build_tree(twice.means, twice.colours, np.ones(2), np.ones(2))
-    one = merge(twice, np.ones(2), np.full(2, 1e-4), tree, cut_tree(tree, 1))
+    one = merge(twice, np.ones(2), np.full(2, 1e-4), tree, Splits.of(tree).cut(1))
     assert one.opacities[0] == pytest.approx(min(2 * scene.opacities[0], 0.99), rel=1e-3)
     np.testing.assert_allclose(np.sort(one.scales[0]), np.sort(scene.scales[0]), rtol=1e-4)

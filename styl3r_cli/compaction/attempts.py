@@ -1,0 +1,106 @@
+"""One way to have fewer Gaussians, tried out: merged, coloured, drawn and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.compaction.compaction import SQUARED_8BIT_STEP, decibels
+from styl3r_cli.compaction.cuts import Cut
+from styl3r_cli.compaction.merging import merge
+from styl3r_cli.compaction.survey import Survey
+from styl3r_cli.fitting.refit import Target, refit, squared_errors
+from styl3r_cli.fitting.tracing import Trace, look
+from styl3r_cli.gaussians import FloatArray, Gaussians
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The nodes of a cut as Gaussians, and what the witnesses see of them."""
+
+    cut: Cut
+    gaussians: Gaussians
+    traces: list[Trace]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came of a cut through a survey's tree.
+
+    Attributes:
+        cut: the cut.
+        gaussians: its nodes, in the colours that look most like the scene.
+        errors: (K,) the squared errors that are left of each one's pixels, those of worse frames
+            counted more.
+        decibels: PSNR at each witness.
+    """
+
+    cut: Cut
+    gaussians: Gaussians
+    errors: NDArray[np.float64]
+    decibels: list[float]
+
+    @property
+    def worst(self) -> float:
+        """PSNR at the witness that differs most."""
+        return min(self.decibels)
+
+    def corrections(self, foretold: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(K,) measured errors over those that the tree's (N,) foretold."""
+        return self.errors / np.maximum(foretold[self.cut.nodes], SQUARED_8BIT_STEP)
+
+
+def merge_cut(known: Survey, cut: Cut, threads: int | None) -> Merged:
+    """Merge each node of a cut, and look at the result; colours are the scene's plain ones."""
+    assert known.tree is not None
+    merged = merge(known.gaussians, known.weights, known.pixel_sizes, known.tree, cut, threads)
+    return Merged(cut, merged, look(merged, known.cameras, threads))
+
+
+def attempt(
+    known: Survey,
+    merged: Merged,
+    colours: FloatArray,
+    targets: Sequence[Target],
+    steps: int,
+    threads: int | None,
+) -> Attempt:
+    """Give merged Gaussians a scene's colours, and measure.
+
+    Args:
+        known: the scene.
+        merged: of it.
+        colours: (S, 3) of what is seen of it; to begin with, each node has the mean of its own.
+        targets: what the witnesses see of the whole scene in these colours.
+        steps: of the colours' fit.
+        threads: None for every core.
+    """
+    plain, labels = merged.gaussians.colours, merged.cut.labels
+    start, traces = plain, merged.traces
+    if colours is not known.gaussians.colours:
+        start = node_means(colours, labels, known.weights, len(plain))
+        traces = [each.recoloured(start - plain) for each in traces]
+    fitted = refit(traces, targets, start, steps, threads)
+    squares = [
+        squared_errors(target, each.recoloured(fitted - start).picture, each.through)
+        for each, target in zip(traces, targets, strict=True)
+    ]
+    measured = decibels(squares)
+    errors = np.zeros(len(plain))
+    for each, left, shown in zip(traces, squares, measured, strict=True):
+        # The promise is made for the worst frame: what is wrong in it counts for more.
+        urgency = 10 ** (0.1 * (float(np.mean(measured)) - shown))
+        errors += urgency * each.gather(left).sum(axis=1)
+    return Attempt(merged.cut, merged.gaussians.with_colours(fitted), errors, measured)
+
+
+def node_means(
+    colours: FloatArray, labels: NDArray[np.int64], weights: NDArray[np.float64], count: int
+) -> FloatArray:
+    """(K, 3) weighted means of the (S, 3) colours of each label."""
+    total = np.bincount(labels, weights, count)
+    sums = [np.bincount(labels, weights * column, count) for column in colours.T]
+    return (np.stack(sums, -1) / total[:, None]).astype(np.float32)
