@@ -35,7 +35,8 @@ def _check_place(path: Path, target: Path) -> None:
     if target.is_dir():
         raise OutputError(f"cannot write {path}: it is a folder; name a file in it")
     if not target.parent.is_dir():
-        raise OutputError(f"cannot write {path}: the folder {path.parent} does not exist")
+        folder = target.parent if path.is_symlink() else path.parent
+        raise OutputError(f"cannot write {path}: the folder {folder} does not exist")
     if not os.access(target if target.exists() else target.parent, os.W_OK):
         raise OutputError(f"cannot write {path}: permission denied")
 
