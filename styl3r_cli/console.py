@@ -58,6 +58,14 @@ class Console:
                 clear = CLEAR_LINE if self._live else ""
                 _print(f"{clear}{painted(f'{PROGRAM}: ', DIM)}{one_line(text)}\n")
 
+    def tell(self, text: str) -> None:
+        """Say how it went to a person who watches, or to a log; nothing that needs a look."""
+        if self._live and _json:
+            log("fact", message=text)
+        elif self._live:
+            with self._lock:
+                _print(f"{CLEAR_LINE}{painted(f'{PROGRAM}: ', DIM)}{one_line(text)}\n")
+
     @contextmanager
     def stage(self, name: str, total: int = 0) -> Iterator[Callable[[], None]]:
         """Time a part of the work, and show that it goes on if it takes long.

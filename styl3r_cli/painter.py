@@ -16,6 +16,7 @@ from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
 
 if TYPE_CHECKING:  # they bring numba, which takes a while
     from styl3r_cli.cameras.camera import Camera
+    from styl3r_cli.compaction import Compaction, Compactor
     from styl3r_cli.fitting.tracing import Trace
     from styl3r_cli.overlaps import Overlaps
 
@@ -80,6 +81,32 @@ class Painter:
             gaussians = self._fit.apply(gaussians, colours)
         return gaussians, repairs
 
+    def compact(self, gaussians: Gaussians, decibels: float) -> Compaction:
+        """As few Gaussians as show a style, that this gave, to so many decibels.
+
+        Measured from the views and halfway between them. The scene is looked at once for all of
+        its styles, from its views once for fitting and compacting.
+
+        Args:
+            gaussians: from `__call__`.
+            decibels: PSNR against all of them, from the camera that differs most.
+        """
+        from styl3r_cli.compaction import keep_decibels, witnesses
+
+        compactor = self._compactor
+        if len(gaussians) == len(compactor.known.scene):
+            return compactor.keep_decibels(gaussians.colours, decibels)
+        cameras = witnesses(self.recovered.cameras, gaussians)  # some had no finite colour
+        return keep_decibels(gaussians, cameras, decibels, self.threads)
+
+    @cached_property
+    def _compactor(self) -> Compactor:
+        from styl3r_cli.compaction import Compactor, witnesses
+
+        plain, _ = assemble(self.scene, self.scene.images.transpose(0, 2, 3, 1))
+        traced = self._fit.traced if self.fitted else []
+        return Compactor(plain, witnesses(self.recovered.cameras, plain), self.threads, traced)
+
     @cached_property
     def _overlaps(self) -> Overlaps:
         from styl3r_cli.overlaps import Overlaps
@@ -91,11 +118,12 @@ class Painter:
         return _Fit(self.scene, self.recovered, self.threads)
 
 
-def warm_up() -> None:
+def warm_up(compact: bool = False) -> None:
     """Load the compiled code of fitting in a thread, while the network is being read and run.
 
-    That takes half a second (and some more the first time, when it is compiled). Whatever goes
-    wrong with it goes wrong again, and is reported, where the code is used.
+    Also that of compacting, if it will be used. That takes half a second (and some more the first
+    time, when it is compiled). Whatever goes wrong with it goes wrong again, and is reported, where
+    the code is used.
     """
 
     def load() -> None:
@@ -106,6 +134,12 @@ def warm_up() -> None:
         camera = Camera(np.eye(4), 1.0, 1.0, 0.5, 0.5, 1, 1)
         with suppress(Exception):
             _fitted(dot, _look(dot, [camera], 1), [three], 1)
+        if compact:
+            with suppress(Exception):
+                from styl3r_cli.compaction import keep_count
+
+                dots = dot.select(np.zeros(3, np.intp))
+                keep_count(dots, [camera], 2, 1)
 
     threading.Thread(target=load, name="warm up").start()
 
@@ -143,7 +177,9 @@ class _Fit:
         # Any colours would do to begin with.
         gaussians, _ = assemble(scene, scene.images.transpose(0, 2, 3, 1))
         self.plain = gaussians.colours
-        self.traces = _look(gaussians, [recovered.cameras[view] for view in self.views], threads)
+        cameras = [recovered.cameras[view] for view in self.views]
+        self.traces = _look(gaussians, cameras, threads)
+        self.traced = list(zip(cameras, self.traces, strict=True))
 
     def apply(self, gaussians: Gaussians, pictures: FloatArray) -> Gaussians:
         """The Gaussians in the colours that show the pictures (N, H, W, 3) best."""

@@ -15,6 +15,10 @@ SHARES = {"draft": 0.5, "balanced": 0.75, BEST: 1.0}
 NETWORK_SHARES = {"draft": 0.5, "balanced": 1.0, BEST: 1.0}
 # Whether colours are fitted to the views (see `painter`): the dearest step after the network.
 FITTED = {"draft": False, "balanced": False, BEST: True}
+# Whether a scene is left with only as many Gaussians as it requires (see `compaction`), where no
+# option says: that takes time, which the others are chosen to save.
+COMPACTED = {"draft": False, "balanced": False, BEST: True}
+KEPT_DECIBELS = 45.0  # of 255 steps, errors of 1.4 on average: nobody sees them side by side
 PATCH = 16  # sides of the network's pictures are multiples of it
 # Written by `python -m styl3r_cli.tradeoff.presets`, which says how: never by hand.
 MEASURED = Path(__file__).parent / "presets.json"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.stored import cameras_from_metadata
 from styl3r_cli.commands.checks import check_outputs, check_stdout
 from styl3r_cli.commands.options import STDOUT
-from styl3r_cli.commands.report import print_report
+from styl3r_cli.commands.report import compaction_report, print_report
 from styl3r_cli.commands.scene_file import SceneFile, load
 from styl3r_cli.compaction import Compaction, everything, keep_count, keep_decibels, witnesses
 from styl3r_cli.console import Console
@@ -151,16 +150,13 @@ def _report(
     console: Console,
 ) -> dict[str, object]:
     """What was kept and what was measured, as plain values."""
-    measured = [value for value in made.decibels if math.isfinite(value)]
     return {
         "source": request.source,
         "output": request.output,
+        **compaction_report(made),
         "gaussians": {"before": len(file.scene.gaussians), "after": encoded.count},
         "kept": encoded.count / len(file.scene.gaussians),
         "bytes": {"before": file.size, "after": len(encoded.data)},
-        "cameras": len(made.cameras),
-        "worst_db": min(measured) if measured else None,
-        "mean_db": sum(measured) / len(measured) if measured else None,
         "seconds": {name: round(value, 4) for name, value in console.timings.items()},
         "notes": console.notes,
     }

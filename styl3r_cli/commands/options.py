@@ -13,6 +13,7 @@ from click.shell_completion import CompletionItem
 
 from styl3r_cli import console
 from styl3r_cli.names import user_path
+from styl3r_cli.quality import KEPT_DECIBELS
 
 STDOUT = "-"
 LOOP_FRAMES, LOOP_FPS = 72, 24.0  # a path's one loop in three seconds: slow enough to look around
@@ -196,6 +197,15 @@ scene_options = apply(
             help="What the photos are scaled and cropped to, multiples of 16; "
             "by default what the model was trained on (256).",
         ),
+        click.option(
+            "--keep-db",
+            type=Number(10, 90),
+            metavar="DB",
+            help="Keep only as many Gaussians as show what all of them do to so many decibels, "
+            f"from the photos' cameras and between them; {KEPT_DECIBELS:g}, which nobody sees, "
+            "with --quality best.",
+        ),
+        click.option("--all", "keep_all", is_flag=True, help="Keep every Gaussian: one a pixel."),
         click.option(
             "--model", default="mini", show_default=True, metavar="NAME|DIR", help="The network."
         ),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,6 +15,9 @@ from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.commands.request import Inputs, SceneRequest
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.pipeline import Repairs
+
+if TYPE_CHECKING:  # it brings numba
+    from styl3r_cli.compaction import Compaction
 
 
 def scene_report(
@@ -52,6 +56,28 @@ def scene_report(
         "warnings": list(notes),
         "timings": rounded(timings),
     }
+
+
+def compaction_report(made: Compaction) -> dict[str, Any]:
+    """What was kept of a scene's Gaussians, and what was measured, as plain values."""
+    measured = [value for value in made.decibels if math.isfinite(value)]
+    before, after = len(made.labels), len(made.gaussians)
+    return {
+        "gaussians": {"before": before, "after": after},
+        "kept": after / before,
+        "cameras": len(made.cameras),
+        "worst_db": min(measured) if measured else None,
+        "mean_db": sum(measured) / len(measured) if measured else None,
+    }
+
+
+def kept_line(made: Compaction) -> str:
+    """The same, for people."""
+    before, after = len(made.labels), len(made.gaussians)
+    line = f"{after:,} of {before:,} Gaussians kept ({100 * after / before:.1f} %)"
+    if not math.isfinite(made.worst):
+        return f"{line}: fewer would show"
+    return f"{line}; {made.worst:.1f} dB at the worst of {len(made.cameras)} cameras"
 
 
 def rounded(timings: dict[str, float]) -> dict[str, float]:

@@ -21,7 +21,7 @@ from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
 from styl3r_cli.photos.listing import parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE
 from styl3r_cli.pipeline import Stylizer
-from styl3r_cli.quality import BEST, FITTED, network_size
+from styl3r_cli.quality import BEST, COMPACTED, FITTED, KEPT_DECIBELS, network_size
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,16 @@ class SceneRequest:
     quiet: bool
     each: bool = False
     quality: str = BEST
+    keep_db: float | None = None
+    keep_all: bool = False
+
+    @property
+    def decibels(self) -> float | None:
+        """What the scene is compacted to; None for not at all."""
+        if self.keep_all:
+            return None
+        asked = KEPT_DECIBELS if COMPACTED[self.quality] else None
+        return asked if self.keep_db is None else self.keep_db
 
     @property
     def scene_path(self) -> Path | None:
@@ -88,7 +98,7 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
     _check(request, paths)
     known = _known_cameras(request, paths, notes)
     if FITTED[request.quality]:
-        warm_up()
+        warm_up(compact=request.decibels is not None)
     for note in notes:
         console.note(note)
 
@@ -159,6 +169,8 @@ def _without_styles(request: SceneRequest, photos: list[Path], notes: list[str])
 
 def _check(request: SceneRequest, photos: list[Path]) -> None:
     """Refuse what could not end well, before any work."""
+    if request.keep_all and request.keep_db is not None:
+        raise UsageError("--keep-db and --all exclude each other; give one")
     scene = request.scene_path
     if scene is not None:
         scene_suffix(scene)

@@ -13,7 +13,13 @@ from styl3r_cli.cameras.recover import Recovered, recover
 from styl3r_cli.cameras.stored import cameras_to_metadata
 from styl3r_cli.commands.each import one_by_one
 from styl3r_cli.commands.options import LOOP_FPS, LOOP_FRAMES
-from styl3r_cli.commands.report import print_report, rounded, scene_report
+from styl3r_cli.commands.report import (
+    compaction_report,
+    kept_line,
+    print_report,
+    rounded,
+    scene_report,
+)
 from styl3r_cli.commands.request import Inputs, SceneRequest, load_inputs
 from styl3r_cli.console import Console
 from styl3r_cli.errors import PartialError
@@ -73,7 +79,12 @@ def _make_one(
         gaussians, repairs = painter(pictures, weights, request.strength)
     if str(repairs):
         console.note(f"Gaussians repaired: {repairs}")
-    recovered = painter.recovered
+    recovered, compaction = painter.recovered, None
+    if request.decibels is not None:
+        with console.stage("compact"):
+            compaction = painter.compact(gaussians, request.decibels)
+        console.tell(kept_line(compaction))
+        gaussians = compaction.gaussians
     with console.stage("write"):
         _write(request, inputs, gaussians, recovered, console)
     if request.video:
@@ -85,7 +96,8 @@ def _make_one(
     if request.each:  # what this style took, after what all of them share
         earlier["total"] = start
         timings = {name: took - earlier.get(name, 0.0) for name, took in timings.items()}
-    return scene_report(request, inputs, gaussians, repairs, recovered, console.notes, timings)
+    report = scene_report(request, inputs, gaussians, repairs, recovered, console.notes, timings)
+    return report | {"compaction": compaction and compaction_report(compaction)}
 
 
 def _recover(scene: Scene, photos: Photos, console: Console) -> Recovered:

@@ -66,9 +66,8 @@ def test_styles_of_one_name_do_not_replace_each_other(
 ) -> None:
     (tmp_path / "other").mkdir()
     twins = [make_picture(tmp_path / d / "art.png", seed=n) for n, d in enumerate((".", "other"))]
-    assert (
-        run("stylize", *photos, *options(twins), "--each", "-o", tmp_path / "{style}.ply")[0] == 0
-    )
+    command = ("stylize", *photos, *options(twins), "--each", "--all")
+    assert run(*command, "-o", tmp_path / "{style}.ply")[0] == 0
     first, second = (read_scene(tmp_path / f"{n}.ply").gaussians for n in ("art", "art-2"))
     assert (first.means == second.means).all()
     assert (first.colours != second.colours).any()

@@ -28,7 +28,7 @@ def styl3r(*arguments: object, **options: object) -> subprocess.CompletedProcess
 def test_photos_come_through_a_pipe(
     tiny_model: Path, photos: list[Path], style: Path, tmp_path: Path, flags: list[str], end: bytes
 ) -> None:
-    shared = ("--style", style, "--model", tiny_model, "--threads", 1, "--fov", 60)
+    shared = ("--style", style, "--model", tiny_model, "--threads", 1, "--fov", 60, "--all")
     names = b"".join(os.fsencode(photo) + end for photo in photos)
     piped = styl3r("stylize", "-", *flags, *shared, "-o", "-", input=names)
     assert (piped.returncode, piped.stderr) == (0, b"")

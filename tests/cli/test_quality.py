@@ -43,7 +43,7 @@ def test_stylize_reads_photos_at_the_size_of_the_quality(
 ) -> None:
     target = tmp_path / "scene.ply"
     for quality, side in (("draft", 32), ("balanced", 64), ("best", 64)):
-        command = ("stylize", *photos, "-s", style, "-o", target, "--quality", quality)
+        command = ("stylize", *photos, "-s", style, "-o", target, "--quality", quality, "--all")
         assert run(*command)[0] == 0
         assert len(read_scene(target).gaussians) == 3 * side * side
         assert run(*command, "--size", 16)[0] == 0

@@ -17,6 +17,7 @@ from styl3r_cli.cameras.stored import cameras_from_metadata
 from styl3r_cli.cameras.transforms import read_transforms
 from styl3r_cli.commands import scene
 from styl3r_cli.formats import read_scene
+from styl3r_cli.splatting import render
 
 Run = Callable[..., tuple[int, bytes, str]]
 
@@ -25,11 +26,8 @@ def test_photos_and_a_style_become_a_scene(
     run: Run, photos: list[Path], style: Path, tmp_path: Path
 ) -> None:
     target = tmp_path / "scene.ply"
-    assert run("stylize", photos[0].parent, "--style", style, "-o", target, "--fov", 60) == (
-        0,
-        b"",
-        "",
-    )
+    command = ("stylize", photos[0].parent, "--style", style, "-o", target, "--fov", 60)
+    assert run(*command, "--all") == (0, b"", "")
     gaussians = read_scene(target).gaussians
     assert len(gaussians) == 3 * 64 * 64  # the model's own size
     art = np.asarray(Image.open(style).resize((64, 64))).mean(axis=(0, 1)) / 255
@@ -71,7 +69,12 @@ def test_json_is_one_object_with_everything(
         assert path.stat().st_size > 0
     with av.open(str(names["video"])) as video:
         assert len(list(video.decode(video=0))) == 6
-    assert report["gaussians"] == 3 * 64 * 64
+    kept = report["compaction"]
+    assert kept["gaussians"] == {"before": 3 * 64 * 64, "after": report["gaussians"]}
+    assert report["gaussians"] == len(read_scene(names["scene"]).gaussians) < 3 * 64 * 64
+    assert kept["kept"] == pytest.approx(report["gaussians"] / (3 * 64 * 64))
+    assert kept["mean_db"] >= kept["worst_db"] >= 45
+    assert kept["cameras"] == 5  # three views, two between
     assert report["styles"] == [{"path": str(style), "weight": 2.0}]
     assert report["strength"] == 0.5
     assert report["size"] == [64, 64]
@@ -79,7 +82,7 @@ def test_json_is_one_object_with_everything(
     assert set(report["repairs"].values()) == {0}
     assert [view["path"] for view in report["views"]] == [str(photo) for photo in photos]
     stages = {"photos", "model", "structure", "appearance", "cameras", "write", "video", "preview"}
-    stages.add("total")
+    stages |= {"compact", "total"}
     assert set(report["timings"]) == stages
     assert len(report["warnings"]) == len(err.splitlines())
     assert "28 mm equivalent assumed" in err
@@ -132,7 +135,7 @@ def test_strength_and_weights_reach_the_colours(
     red, blue = tmp_path / "red.png", tmp_path / "blue.png"
 
     def mean_colour(*options: object) -> np.ndarray:
-        assert run("stylize", *photos, *options, "-o", tmp_path / "s.ply")[0] == 0
+        assert run("stylize", *photos, *options, "--all", "-o", tmp_path / "s.ply")[0] == 0
         return read_scene(tmp_path / "s.ply").gaussians.colours.mean(axis=0)
 
     full, other = mean_colour("--style", red), mean_colour("--style", blue)
@@ -172,7 +175,7 @@ def test_scene_to_standard_output_is_the_same_file(
 
 def test_size(run: Run, photos: list[Path], style: Path, tmp_path: Path) -> None:
     command = ("stylize", *photos, "--style", style, "-o", tmp_path / "s.ply", "--json", "--size")
-    assert json.loads(run(*command, "80x48")[1])["gaussians"] == 3 * 80 * 48
+    assert json.loads(run(*command, "80x48", "--all")[1])["gaussians"] == 3 * 80 * 48
     assert json.loads(run(*command, "32")[1])["size"] == [32, 32]
     code, _, err = run(*command, "100x48")
     assert code == 2
@@ -211,3 +214,52 @@ def test_a_style_among_the_photos_is_no_photo(
     assert "art.jpg is a style" in err
     code, out, _ = run("stylize", *photos, art, *command)  # named as both
     assert (code, len(json.loads(out)["views"])) == (0, 4)
+
+
+def test_a_scene_is_what_it_requires_unless_all_is_asked_for(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    """Drawn from the views, and measured as the report says; coarser and dearer on demand."""
+    kept: dict[str, dict] = {}
+    scenes = {}
+    for name, options in {
+        "all": ("--all",),
+        "default": (),
+        "coarse": ("--keep-db", 30),
+        "balanced": ("--quality", "balanced"),
+        "balanced, small": ("--quality", "balanced", "--keep-db", 45),
+    }.items():
+        target = tmp_path / f"{name}.ply"
+        command = ("stylize", *photos, "--style", style, "--json", "-o", target)
+        code, out, err = run(*command, *options)
+        assert code == 0, err
+        kept[name] = json.loads(out)["compaction"]
+        scenes[name] = read_scene(target)
+    assert kept["all"] is kept["balanced"] is None
+    whole, count = scenes["all"].gaussians, 3 * 64 * 64
+    assert len(whole) == len(scenes["balanced"].gaussians) == count
+    assert len(scenes["coarse"].gaussians) < len(scenes["default"].gaussians) < count
+    assert len(scenes["balanced, small"].gaussians) < count
+    for name, promised in (("default", 45), ("coarse", 30)):
+        worst = []
+        for camera in cameras_from_metadata(scenes[name].metadata):
+            squares = [
+                (
+                    render(whole, camera, (v, v, v)).colour
+                    - render(scenes[name].gaussians, camera, (v, v, v)).colour
+                )
+                ** 2
+                for v in (0.0, 1.0)
+            ]
+            worst.append(-10 * np.log10(np.mean(squares)))
+        assert min(worst) >= promised - 0.2  # the file keeps 8 bits fewer of some numbers
+        assert kept[name]["worst_db"] >= promised
+
+
+def test_all_and_a_promise_exclude_each_other(
+    run: Run, photos: list[Path], style: Path, tmp_path: Path
+) -> None:
+    command = ("stylize", *photos, "--style", style, "-o", tmp_path / "s.ply")
+    code, _, err = run(*command, "--all", "--keep-db", 40)
+    assert code == 2
+    assert "--keep-db and --all" in err
