@@ -29,6 +29,7 @@ MEANINGS = {
     ExitCode.OUTPUT: "a result cannot be written",
     ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
 }
+LONGEST_QUOTE = 200  # characters of a library's own message
 # How shells report a program that a signal ended; nothing is said then.
 BROKEN_PIPE = 128 + 13  # SIGPIPE
 HANGUP = 128 + 1  # SIGHUP
@@ -38,6 +39,11 @@ SIGNALS = {
     BROKEN_PIPE: "whoever read standard output has closed it",
     TERMINATED: "told to end (SIGTERM)",
 }
+
+
+def shortened(text: str) -> str:
+    """What a library says, without the rest of what it quotes from a damaged file."""
+    return text if len(text) <= LONGEST_QUOTE else f"{text[:LONGEST_QUOTE]}..."
 
 
 class Styl3rError(Exception):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from styl3r_cli import memory
-from styl3r_cli.errors import ModelError, OutOfMemoryError, Styl3rError, UsageError
+from styl3r_cli.errors import ModelError, OutOfMemoryError, Styl3rError, UsageError, shortened
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.onnx_library import onnxruntime
 
@@ -30,6 +31,9 @@ SHRINK = ("memory.enable_memory_arena_shrinkage", "cpu:0")
 # Threads that wait for work sleep instead of spinning: beside a busy program mini's structure graph
 # takes 0.40 s instead of 0.64, and alone on two cores 0.25 s instead of 0.22.
 NO_SPINNING = ("session.intra_op.allow_spinning", "0")
+
+# What stands before each message in onnxruntime's; those of several levels are one in the other.
+PREFIX = re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : ")
 
 _finding_cuda = Lock()
 
@@ -215,4 +219,4 @@ def _failure(path: Path, what: str, error: Exception) -> Styl3rError:
 def _first_line(error: Exception) -> str:
     """Onnxruntime's message without its code and the lines about its sources."""
     text = str(error).strip() or type(error).__name__
-    return text.splitlines()[0].split(" : ", 3)[-1]
+    return shortened(PREFIX.split(text.splitlines()[0])[-1])

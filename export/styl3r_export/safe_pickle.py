@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import struct
 import warnings
 import zipfile
 from collections import OrderedDict
@@ -13,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from styl3r_cli.errors import InputError
+from styl3r_cli.errors import InputError, shortened
 
 # What torch calls the storages of each element type.
 STORAGES = {
@@ -94,6 +95,18 @@ class InertUnpickler(pickle._Unpickler):
         return self.storages[key]
 
 
+def _read_bytearray(reader: Any) -> None:
+    """An array of as many bytes as there are; Python's own makes room for as many as claimed."""
+    (claimed,) = struct.unpack("<Q", reader.read(8))
+    data = reader.read(claimed)
+    if len(data) < claimed:
+        raise EOFError("pickle exhausted before its end")
+    reader.append(bytearray(data))
+
+
+InertUnpickler.dispatch = pickle._Unpickler.dispatch | {pickle.BYTEARRAY8[0]: _read_bytearray}
+
+
 def _tensor(storage: Tensor, offset: int, size: Any, stride: Any, *_: object) -> Tensor:
     """A view into a storage; torch makes sure that it lies inside."""
     return storage.as_strided(tuple(size), tuple(stride), int(offset))
@@ -142,7 +155,7 @@ def read_checkpoint(path: Path) -> Any:
                 raise pickle.UnpicklingError("it holds no pickled data")
             return InertUnpickler(archive, pickles[0].removesuffix("data.pkl")).load()
     except Exception as error:  # a damaged pickle can raise anything
-        message = f"{path}: damaged, or not a torch checkpoint ({error})"
+        message = f"{path}: damaged, or not a torch checkpoint ({shortened(str(error))})"
         raise InputError(f"{message}; download it again") from error
 
 

@@ -184,15 +184,29 @@ def test_a_claim_to_remember_much_takes_no_memory(tmp_path: Path) -> None:
     """Five bytes that number an object 100 million: a table of as many took gigabytes."""
     content = pickle.PROTO + b"\x02" + pickle.EMPTY_DICT
     content += pickle.LONG_BINPUT + (10**8).to_bytes(4, "little") + pickle.STOP
+    assert unpickled_in_little_memory(content, tmp_path) == {}
+
+
+def test_a_claim_to_hold_many_bytes_takes_no_memory(tmp_path: Path) -> None:
+    """Nine bytes that announce an array: one of as many zeros took gigabytes. Found by fuzzing."""
+    head = pickle.PROTO + b"\x05" + pickle.BYTEARRAY8
+    whole = head + (3).to_bytes(8, "little") + b"abc" + pickle.STOP
+    assert unpickled_in_little_memory(whole, tmp_path) == bytearray(b"abc")
+    with pytest.raises(EOFError):
+        unpickled_in_little_memory(head + (10**9).to_bytes(8, "little") + b"abc", tmp_path)
+
+
+def unpickled_in_little_memory(content: bytes, tmp_path: Path) -> object:
     with zipfile.ZipFile(tmp_path / "a.ckpt", "w") as archive:
         archive.writestr("a/data.pkl", content)
     with zipfile.ZipFile(tmp_path / "a.ckpt") as archive:
         tracemalloc.start()
         try:
-            assert InertUnpickler(archive, "a/").load() == {}
-            assert tracemalloc.get_traced_memory()[1] < 1e7
+            return InertUnpickler(archive, "a/").load()
         finally:
+            peak = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
+            assert peak < 1e7
 
 
 def test_a_state_dict_entry_that_is_an_object_is_refused(tiny: Styl3r, tmp_path: Path) -> None:
@@ -290,6 +304,17 @@ def test_other_files_are_refused_in_one_line(tmp_path: Path, content: bytes) -> 
         with pytest.raises(InputError) as caught:
             load(path)
         assert "\n" not in str(caught.value)
+
+
+def test_what_a_damaged_file_holds_is_not_recited(tiny: Styl3r, tmp_path: Path) -> None:
+    """Messages of zipfile quote a name of up to 65535 bytes. Found by fuzzing."""
+    path = saved(tmp_path / "a.ckpt", lightning(tiny))
+    data = bytearray(path.read_bytes())
+    data[26:28] = (40_000).to_bytes(2, "little")  # the length of the first name
+    path.write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        read_checkpoint(path)
+    assert len(str(caught.value)) < 300 + len(str(path))
 
 
 def test_a_truncated_file_is_refused(tiny: Styl3r, tmp_path: Path) -> None:
