@@ -12,6 +12,7 @@ DRAWINGS = ("exact", "antialias", "balanced", "draft")
 # Colours fitted to the views, or as the network gives them: see `painter`.
 COLOURS = ("fitted", "plain")
 WHOLE = 100.0  # percent
+AS_NEEDED = 0.0  # as many as `stylize` keeps of itself
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Point:
             it is.
         size: side of the network's square pictures, pixels.
         views: how many photos, the first ones.
-        budget: share of the Gaussians that is kept, in percent.
+        budget: share of the Gaussians that is kept, in percent; or AS_NEEDED.
         drawing: one of DRAWINGS.
         threads: processor cores.
         colours: one of COLOURS.

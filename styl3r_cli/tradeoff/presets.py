@@ -19,11 +19,11 @@ import click
 from styl3r_cli.files import atomic_write
 from styl3r_cli.graphs import find
 from styl3r_cli.manifest import read_manifest
-from styl3r_cli.quality import BEST, FITTED, MEASURED, QUALITIES, network_size
+from styl3r_cli.quality import BEST, COMPACTED, FITTED, MEASURED, QUALITIES, network_size
 from styl3r_cli.sessions import available_cores
 from styl3r_cli.splatting.timing import machine
 from styl3r_cli.tradeoff.bench import Bench
-from styl3r_cli.tradeoff.points import COLOURS, GIVEN, WHOLE, Point
+from styl3r_cli.tradeoff.points import AS_NEEDED, COLOURS, GIVEN, WHOLE, Point
 from styl3r_cli.tradeoff.rows import Row, collect
 
 EXAMPLE = Path("examples/room")
@@ -33,11 +33,12 @@ MARGIN = 1.0  # decibels less than measured are promised: other processors round
 
 
 def points() -> dict[str, dict[str, Point]]:
-    """The point of each quality, by command; `best` is the reference of both."""
-    best = Point(GIVEN, SIDE, len(photos()), WHOLE, "exact", available_cores())
+    """The point of each quality, by command; `best` is the reference of `render`."""
+    best = reference()
     stylize = {
         quality: replace(
             best,
+            budget=AS_NEEDED if COMPACTED[quality] else WHOLE,
             size=network_size(quality, (SIDE, SIDE))[0],
             colours=COLOURS[0] if FITTED[quality] else COLOURS[1],
         )
@@ -48,6 +49,11 @@ def points() -> dict[str, dict[str, Point]]:
     return {"stylize": stylize, "render": render}
 
 
+def reference() -> Point:
+    """What all others are compared with: the best, with every Gaussian."""
+    return Point(GIVEN, SIDE, len(photos()), WHOLE, "exact", available_cores())
+
+
 def photos() -> list[Path]:
     """The example's photos."""
     return sorted(EXAMPLE.glob("*.jpg"))
@@ -56,7 +62,7 @@ def photos() -> list[Path]:
 def measure(repeats: int) -> dict[str, Any]:
     """What each quality takes and keeps: medians over styles, the worst view of all styles."""
     wanted = points()
-    every = list(dict.fromkeys([wanted["stylize"][BEST], *_all(wanted)]))
+    every = list(dict.fromkeys([reference(), *_all(wanted)]))
     by_style: list[dict[Point, Row]] = []
     for style in STYLES:
         with tempfile.TemporaryDirectory() as folder:

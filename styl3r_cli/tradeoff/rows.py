@@ -23,7 +23,7 @@ from styl3r_cli.tradeoff.agreement import (
 )
 from styl3r_cli.tradeoff.agreement import worst as worst_of
 from styl3r_cli.tradeoff.bench import Bench
-from styl3r_cli.tradeoff.points import Point
+from styl3r_cli.tradeoff.points import AS_NEEDED, Point
 
 # Agreement in every view that deserves a name: at 40 dB pictures that alternate on a screen show
 # no difference, at 35 dB it has to be looked for, at 30 dB it is seen side by side.
@@ -180,7 +180,8 @@ def flags(point: Point, reference: Point) -> str:
     if point.threads != reference.threads:
         parts.append(f"--threads {point.threads}")
     if point.budget != reference.budget:
-        parts.append(f"{point.budget:g} % of the Gaussians (styl3r compact)")
+        kept = f"{point.budget:g} % of the Gaussians (styl3r compact)"
+        parts.append("stylize as it is" if point.budget == AS_NEEDED else kept)
     if point.colours != reference.colours:
         parts.append("--quality balanced")
     if point.drawing == "antialias":

@@ -24,9 +24,9 @@ from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.pipeline import Stylizer
-from styl3r_cli.quality import SHARES
+from styl3r_cli.quality import KEPT_DECIBELS, SHARES
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, between
-from styl3r_cli.tradeoff.points import WHOLE
+from styl3r_cli.tradeoff.points import AS_NEEDED, WHOLE
 
 KILOBYTES = 1024  # Linux counts a process's memory in them, macOS in bytes
 
@@ -70,10 +70,12 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
         painter = Painter(stylizer, scene, found, threads, point["colours"] == "fitted")
         with watch("appearance"):
             gaussians, _ = painter(styles, strength=1.0 if styles else 0.0)
+        with watch("compact"):
+            if point["budget"] == AS_NEEDED:
+                gaussians = painter.compact(gaussians, KEPT_DECIBELS).gaussians
+            else:
+                gaussians = compact_to(gaussians, found.cameras, point["budget"], threads)
         watch.seconds.setdefault("first run", time.perf_counter() - start)
-    whole = gaussians
-    with watch("compact"):
-        gaussians = compact_to(whole, found.cameras, point["budget"], threads)
     cameras = [camera.resized(*job["frame"]) for camera in found.cameras]
     for _ in range(2):
         with watch("frame"):
@@ -134,7 +136,8 @@ def _truths(job: dict[str, Any], painter: Painter, cameras: Sequence[Camera]) ->
         return []
     point = job["point"]
     own, _ = painter(strength=0.0)
-    own = compact_to(own, cameras, point["budget"], point["threads"])
+    if point["budget"] != AS_NEEDED:
+        own = compact_to(own, cameras, point["budget"], point["threads"])
     poses = [np.array(pose) for pose in job["held_out"]["views"]]
     scale = relative_scale([camera.extrinsics for camera in cameras], poses)
     pictures = []

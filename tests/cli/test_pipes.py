@@ -110,10 +110,12 @@ def test_logs_as_json(tiny_model: Path, photos: list[Path], style: Path, tmp_pat
     events = lines(result.stderr.decode())
     (note,) = [event for event in events if event["event"] == "note"]
     assert "no focal length" in str(note["message"])
+    (fact,) = [event for event in events if event["event"] == "fact"]
+    assert "Gaussians kept" in str(fact["message"])
     stages = [event["stage"] for event in events if event["event"] == "stage"]
     # Cameras are found while the appearance graph runs: either may end first.
-    assert stages[-1] == "write"
-    assert sorted(stages[-4:-1]) == ["appearance", "cameras", "structure"]
+    assert stages[-2:] == ["compact", "write"]
+    assert sorted(stages[-5:-2]) == ["appearance", "cameras", "structure"]
     quiet = styl3r("stylize", *photos, *arguments, "--log", "json", "--quiet")
     assert (quiet.returncode, quiet.stderr) == (0, b"")
 
