@@ -126,7 +126,9 @@ class Page:
         if not cameras:
             return
         size = FRUSTUM * self.start.depth * self.metres
-        frusta = [self._add_frustum(i, camera, first, size) for i, camera in enumerate(cameras)]
+        frusta = [self._add_frustum(i, camera, size) for i, camera in enumerate(cameras)]
+        for frustum, camera in zip(frusta, cameras, strict=True):
+            self._look_when_clicked(frustum, view_of(camera, first, self.start.up), frusta)
         shown = self.server.gui.add_checkbox("Input cameras", initial_value=False)
 
         @shown.on_update
@@ -134,28 +136,33 @@ class Page:
             for frustum in frusta:
                 frustum.visible = shown.value
 
-    def _add_frustum(
-        self, index: int, camera: Camera, first: Gaussians, size: float
-    ) -> viser.CameraFrustumHandle:
-        frustum = self.server.scene.add_camera_frustum(
+    def _add_frustum(self, index: int, camera: Camera, size: float) -> viser.CameraFrustumHandle:
+        return self.server.scene.add_camera_frustum(
             f"/cameras/{index}",
             vertical_fov(camera),
             camera.width / camera.fx * camera.fy / camera.height,  # of angles: pixels may be oblong
             scale=size,
             thickness=LINE,
             thickness_units="screen",
+            variant="filled",  # of lines alone, only the lines could be clicked
             color=FRUSTUM_COLOUR,
             wxyz=poses.from_camera(camera)[:4],
             position=poses.centre(camera.extrinsics) * self.metres,
             visible=False,
         )
-        view = view_of(camera, first, self.start.up)
 
+    def _look_when_clicked(
+        self,
+        frustum: viser.CameraFrustumHandle,
+        view: View,
+        frusta: Sequence[viser.CameraFrustumHandle],
+    ) -> None:
         @frustum.on_click
         def _(event: viser.SceneNodePointerEvent) -> None:
+            with self.server.atomic():
+                for each in frusta:  # one's faces would tint what is seen through it
+                    each.visible = each is not frustum
             self._look(event.client.camera, view)
-
-        return frustum
 
     def _look(self, camera: viser.CameraHandle, view: View) -> None:
         with camera.client.atomic():
