@@ -11,7 +11,7 @@ from styl3r_cli.commands.checks import check_outputs, check_stdout
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.commands.report import compaction_report, print_report
 from styl3r_cli.commands.scene_file import SceneFile, load
-from styl3r_cli.compaction import Compaction, everything, keep_count, keep_decibels, witnesses
+from styl3r_cli.compaction import Compaction, Compactor, everything, witnesses
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.files import atomic_write, write_stdout
@@ -115,18 +115,18 @@ def _compact(
     if request.keep_all:
         made = everything(gaussians, [])
         return made, encode_scene(gaussians, scene.metadata, request.suffix)
-    cameras = witnesses(views, gaussians)
+    compactor = Compactor(gaussians, witnesses(views, gaussians), threads)
     if request.size is not None:
-        return _within(request, scene, cameras, request.size)
+        return _within(request, scene, compactor, request.size)
     if request.count is not None:
-        made = keep_count(gaussians, cameras, request.count, threads)
+        made = compactor.keep_count(gaussians.colours, request.count)
     else:
-        made = keep_decibels(gaussians, cameras, request.decibels, threads)
+        made = compactor.keep_decibels(gaussians.colours, request.decibels)
     return made, encode_scene(made.gaussians, scene.metadata, request.suffix)
 
 
 def _within(
-    request: CompactRequest, scene: Scene, cameras: list[Camera], size: int
+    request: CompactRequest, scene: Scene, compactor: Compactor, size: int
 ) -> tuple[Compaction, Encoded]:
     """As many Gaussians as fit into a file of that size."""
     whole = len(encode_scene(scene.gaussians, scene.metadata, request.suffix).data)
@@ -134,7 +134,7 @@ def _within(
     for _ in range(SIZE_ATTEMPTS):
         if count < 1:
             break
-        made = keep_count(scene.gaussians, cameras, count, request.threads)
+        made = compactor.keep_count(scene.gaussians.colours, count)
         encoded = encode_scene(made.gaussians, scene.metadata, request.suffix)
         if len(encoded.data) <= size:
             return made, encoded

@@ -73,10 +73,13 @@ class Compactor:
             colours: (G, 3) sRGB.
             target: PSNR against the whole scene, at the witness that differs most.
         """
-        known, targets = self.known, self.known.targets(colours)
-        shown = self._shown(colours)
+        known = self.known
+        whole = known.scene.with_colours(colours)
+        if known.tree is None:  # no witness sees any of it
+            return everything(whole, known.cameras)
+        targets, shown = known.targets(colours), self._shown(colours)
         most = len(known.seen)
-        count = self._begin(targets, target)
+        count = self._splits(None).count_for(_error(targets, target - BEGIN_BELOW))
         failed: list[Attempt] = []
         done: Attempt | None = None
         for number in range(MOST_ATTEMPTS):
@@ -95,7 +98,6 @@ class Compactor:
         if done is not None:
             return self._result(done)
         result = self.without_unseen(colours)
-        whole = known.scene.with_colours(colours)
         return result if result.worst >= target else everything(whole, known.cameras)
 
     def keep_count(self, colours: FloatArray, count: int) -> Compaction:
@@ -158,11 +160,6 @@ class Compactor:
         if above is None:
             return Splits.of(tree)
         return Splits.of(tree, above.cut, above.corrections(tree.errors))
-
-    def _begin(self, targets: Sequence[Target], target: float) -> int:
-        if self.known.tree is None:
-            return 0
-        return self._splits(None).count_for(_error(targets, target - BEGIN_BELOW))
 
     def _next(self, failed: Sequence[Attempt], done: Attempt | None, target: float) -> int:
         """How many Gaussians to try after attempts that did not do, or did far too well."""
