@@ -23,6 +23,11 @@ if TYPE_CHECKING:  # they bring numba, which takes a while
 # Steps of the colours' least squares. On real pairs the third still sharpens pictures from new
 # cameras, the fourth and fifth only those from the views' own.
 FIT_STEPS = 3
+# How much strokes are sharpened before they are drawn, over their difference from a blur of
+# EMPHASIS_BLUR pixels. Of 0.2 to 0.8 what brings the drawn frames' texture closest to the 2D
+# stylizer's, without halos; fitting sharpens on its own.
+FITTED_EMPHASIS, PLAIN_EMPHASIS = 0.3, 0.6
+EMPHASIS_BLUR = 1.0  # standard deviation, about that of a Gaussian on the screen
 
 
 class Painter:
@@ -31,9 +36,9 @@ class Painter:
     A model whose colours are pictures says what each view should show. Drawn, that picture is
     blurred: Gaussians are wider than a pixel, and two views of one surface lie in two layers, one
     over the other. And each view is painted for itself, so that one surface has other strokes in
-    each. The painter takes one view's strokes for a surface, then solves for the colours whose
-    drawing comes closest to the pictures of all views (a frame is linear in the colours). What does
-    not depend on the style is worked out once.
+    each. The painter takes one view's strokes for a surface, sharpens them as much as drawing blurs
+    them, and solves for the colours whose drawing comes closest to the pictures of all views (a
+    frame is linear in the colours). What does not depend on the style is worked out once.
 
     Example:
         >>> painter = Painter(stylizer, scene, recover(scene.means, scene.opacities))
@@ -76,6 +81,8 @@ class Painter:
         # Photos agree with each other already, and resampling would blur them.
         if self.pictures and finite and strength > 0:
             colours = self._overlaps.paint_once(colours, strength)
+            amount = FITTED_EMPHASIS if self.fitted else PLAIN_EMPHASIS
+            colours = emphasised(colours, strength * amount)
         gaussians, repairs = assemble(self.scene, colours)
         if self.fitted and finite:
             gaussians = self._fit.apply(gaussians, colours)
@@ -116,6 +123,18 @@ class Painter:
     @cached_property
     def _fit(self) -> _Fit:
         return _Fit(self.scene, self.recovered, self.threads)
+
+
+def emphasised(pictures: FloatArray, amount: float) -> FloatArray:
+    """Pictures (N, H, W, 3) with what is finer than EMPHASIS_BLUR louder by `amount`.
+
+    An unsharp mask; values stay within [0, 1].
+    """
+    import cv2
+
+    blurred = [cv2.GaussianBlur(picture, (0, 0), EMPHASIS_BLUR) for picture in pictures]
+    detail = pictures - np.asarray(blurred, np.float32)
+    return np.clip(pictures + np.float32(amount) * detail, 0, 1)
 
 
 def warm_up(compact: bool = False) -> None:

@@ -175,3 +175,17 @@ def test_a_style_is_painted_once_and_own_colours_view_by_view(
         styled[shared], np.broadcast_to(pictures[0, 0, 0], styled[shared].shape), atol=0.1
     )
     assert own[shared][..., 2].min() > 0.4  # half of what each view says
+
+
+def test_strokes_without_a_fit_are_sharpened_for_what_drawing_blurs(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    """The contrast of fine stripes in the frames is nearer to the pictures'."""
+    plain, _ = assemble(scene, pictures)
+    painted, _ = paint(Brush(pictures), scene, recovered, fitted=False)()
+    assert 0 <= painted.colours.min() <= painted.colours.max() <= 1
+    for before, after, want in zip(
+        seen(plain, recovered), seen(painted, recovered), pictures, strict=True
+    ):
+        missing = [middle(want).std() - middle(frame).std() for frame in (before, after)]
+        assert abs(missing[1]) < 0.8 * missing[0]
