@@ -97,7 +97,7 @@ MINI = ModelConfig(
     photo_as_style="unit",
 )
 
-# Beside it, to measure what its size is worth: 0.4 and 1.35 times its parameters.
+# Beside it, to measure what its size is worth: 0.4 and 1.3 times its parameters.
 MINI_SMALL = replace(
     MINI,
     name="mini-small",
