@@ -34,6 +34,7 @@ COMMANDS = {
 }
 HIDDEN = {"man": ("man", "The manual page: styl3r man | man -l -")}
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
+COMPLETION = "_STYL3R_COMPLETE"  # click's; what else a shell sets then may be missing or wrong
 OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
 
 
@@ -168,6 +169,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
             raise
         if memory.ended(error):
             return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
+        if os.environ.get(COMPLETION):
+            return _fail(
+                f"{COMPLETION} is for shells: see styl3r completion --help", ExitCode.USAGE
+            )
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
             return _fail(f"{os.fsdecode(error.filename)}: {error.strerror}", ExitCode.INPUT)
         if isinstance(error, OSError) and error.errno in FULL:  # files have their own message

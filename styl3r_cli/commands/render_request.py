@@ -27,6 +27,7 @@ LONGEST_SIDES = {
     "jpg": 65500,
     "jpeg": 65500,
 }
+TOO_WIDE = r"%\D?\d{4}"  # a number of thousands of digits is no file's name
 WITH_ALPHA = ("webm", "webp", "png", "rgb")
 TRANSPARENT = "transparent"
 
@@ -206,7 +207,10 @@ def numbered(path: Path, index: int) -> Path:
     Raises:
         UsageError: there is more than one place, or one for something else.
     """
+    refusal = UsageError(f"-o {path}: one frame number, such as %04d, and no other %")
+    if re.search(TOO_WIDE, path.name):
+        raise refusal
     try:
         return path.with_name(path.name % index)
     except (TypeError, ValueError) as error:
-        raise UsageError(f"-o {path}: one frame number, such as %04d, and no other %") from error
+        raise refusal from error

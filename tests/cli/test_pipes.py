@@ -184,6 +184,13 @@ def test_shells_can_complete(words: str, answers: list[str]) -> None:
     assert completed(words) == answers
 
 
+@pytest.mark.parametrize("words", [{}, {"COMP_WORDS": "styl3r x", "COMP_CWORD": "x"}])
+def test_completion_by_hand_is_no_bug(words: dict[str, str]) -> None:
+    result = styl3r(env=os.environ | {"_STYL3R_COMPLETE": "bash_complete"} | words)
+    assert result.returncode == 2
+    assert b"is for shells" in result.stderr
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts_call_the_program(shell: str) -> None:
     result = styl3r("completion", shell)

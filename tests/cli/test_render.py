@@ -421,6 +421,7 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
         (["{scene}", "-o", "%d.jpg", "--size", "2x70000"], 2, "at most 65500 a side"),
         (["{scene}", "-o", "x.webp", "--size", "8192", "--show", "both"], 2, "at most 16383"),
         (["{scene}", "-o", ""], 2, "name is empty"),
+        (["{scene}", "-o", "%0999999999d.png"], 2, "one frame number"),
         (
             ["{scene}", "-o", "x.mp4", "--save-path", "{cameras}", "--cameras", "{cameras}"],
             2,
