@@ -5,12 +5,12 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,18 @@ PREFIX = re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : ")
 _finding_cuda = Lock()
 
 
+class Argument(NamedTuple):
+    """What a graph says of an input or an output."""
+
+    type: str
+    rank: int
+
+
+def _described(arguments: Iterable[NodeArg]) -> dict[str, Argument]:
+    """By name, read at once: damaged names of axes raise here, while the graph is loaded."""
+    return {found.name: Argument(found.type, len(found.shape)) for found in arguments}
+
+
 class Graph:
     """One graph with a known signature; call it with named arrays, get named arrays."""
 
@@ -46,8 +58,8 @@ class Graph:
         self.metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
         self.device = "cuda" if session.get_providers()[0] == CUDA else "cpu"
         self._session = session
-        self._inputs = {i.name: i for i in session.get_inputs()}
-        self._outputs = {o.name: o for o in session.get_outputs()}
+        self._inputs = _described(session.get_inputs())
+        self._outputs = _described(session.get_outputs())
 
     @property
     def inputs(self) -> list[str]:
@@ -110,7 +122,7 @@ class Graph:
     def _check_side(
         self,
         side: str,
-        given: Mapping[str, NodeArg],
+        given: Mapping[str, Argument],
         required: Mapping[str, int],
         allowed: Mapping[str, int],
     ) -> None:
@@ -120,10 +132,10 @@ class Graph:
         for name, argument in given.items():
             if name not in allowed:
                 raise ModelError(f"{self.path}: the graph has an unknown {side} '{name}'")
-            if argument.type != "tensor(float)" or len(argument.shape) != allowed[name]:
+            if argument.type != "tensor(float)" or argument.rank != allowed[name]:
                 raise ModelError(
                     f"{self.path}: {side} '{name}' is a {argument.type} of rank "
-                    f"{len(argument.shape)}, expected a tensor(float) of rank {allowed[name]}"
+                    f"{argument.rank}, expected a tensor(float) of rank {allowed[name]}"
                 )
 
     def __call__(self, feeds: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

@@ -79,6 +79,16 @@ def test_a_broken_node_is_told_in_a_short_line(tmp_path: Path) -> None:
     assert "onnxruntime::" not in str(caught.value)
 
 
+def test_names_of_axes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    """Found by fuzzing."""
+    good = parse_graph(ENDLESS_GRAPH.replace("[N]", "[Axis]")).SerializeToString()
+    path = tmp_path / "a.onnx"
+    path.write_bytes(good.replace(b"Axis", b"\x8fxis"))
+    with pytest.raises(ModelError, match="cannot be loaded") as caught:
+        Graph.load(path, "cpu", 1)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_damaged_graph_says_nothing_on_standard_output(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
