@@ -13,7 +13,7 @@ from styl3r_cli.cameras import poses
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.viewer.address import Address
-from styl3r_cli.viewer.splats import to_splats
+from styl3r_cli.viewer.splats import least_scales, to_splats
 from styl3r_cli.viewer.start import View, first_view, vertical_fov, view_of
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class Page:
     def _add_scenes(self, scenes: Mapping[str, Gaussians]) -> None:
         nodes = {}
         for index, (name, gaussians) in enumerate(scenes.items()):
-            splats = to_splats(gaussians)
+            splats = to_splats(gaussians, least_scales(gaussians, self.start))
             nodes[name] = self.server.scene.add_gaussian_splats(
                 f"/scene_{index}",
                 splats.centers,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.formats.glb_nodes import to_matrices
 from styl3r_cli.gaussians import FloatArray, Gaussians
+from styl3r_cli.viewer.start import View
 
 # viser sends covariances as half floats, which end at 65504: a standard deviation of 255.
 LARGEST = 255.0
@@ -17,6 +18,12 @@ HALF_ROUNDING = 2.0**-11
 # most three times its largest one. Where the smallest could become negative, the browser would
 # leave the splat out: axes are made this much as long as the longest, 1 : 26, at least.
 THINNEST = float(np.sqrt(3 * HALF_ROUNDING))
+# viser leaves out a splat whose opacity times the determinant of its covariance on the screen
+# (px^2, DILATION added to both variances) is below SEEN: all of a sharp scene's would vanish.
+SEEN, DILATION = 0.25, 0.3
+# So none is smaller than what is kept in a window of so many rows from AWAY times as far as the
+# first view: half a pixel of a photo. Only splats fainter than FAINTEST may still vanish there.
+ROWS, AWAY, FAINTEST = 480, 2.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -38,15 +45,28 @@ class Splats:
     scale: float
 
 
-def to_splats(gaussians: Gaussians) -> Splats:
+def least_scales(gaussians: Gaussians, view: View) -> FloatArray:
+    """How large (G,) Gaussians must be to be drawn by viser at and around a view."""
+    distances = np.linalg.norm(gaussians.means.astype(np.float64) - view.position, axis=1)
+    pixels = distances * AWAY * 2 * np.tan(view.fov / 2) / ROWS
+    variances = np.sqrt(SEEN / np.clip(gaussians.opacities, FAINTEST, 1)) - DILATION
+    return (pixels * np.sqrt(variances)).astype(np.float32)
+
+
+def to_splats(gaussians: Gaussians, least: FloatArray | None = None) -> Splats:
     """Gaussians in the world frame as splats in the same frame.
 
     The covariance is R diag(s)^2 R^T (Kerbl et al. 2023, equation 6). Gaussians over 255 times as
     large as usual, which could not be sent, are made that large.
+
+    Args:
+        gaussians: the scene.
+        least: (G,) standard deviations that no axis goes below, as from `least_scales`.
     """
-    longest = gaussians.scales.max(axis=1, initial=0.0).astype(np.float64)
+    scales = gaussians.scales if least is None else np.maximum(gaussians.scales, least[:, None])
+    longest = scales.max(axis=1, initial=0.0).astype(np.float64)
     unit = float(np.median(longest[longest > 0])) if (longest > 0).any() else 1.0
-    sides = np.minimum(gaussians.scales.astype(np.float64) / unit, LARGEST)
+    sides = np.minimum(scales.astype(np.float64) / unit, LARGEST)
     sides = np.maximum(sides, THINNEST * sides.max(axis=1, keepdims=True))
     axes = to_matrices(gaussians.rotations) * sides[:, None, :]
     return Splats(

@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.viewer.splats import LARGEST, THINNEST, to_splats
+from styl3r_cli.viewer.splats import (
+    AWAY,
+    FAINTEST,
+    LARGEST,
+    ROWS,
+    THINNEST,
+    least_scales,
+    to_splats,
+)
+from styl3r_cli.viewer.start import View
 
 Array = NDArray[np.float64]
 
@@ -102,3 +111,29 @@ def test_points_without_size_are_finite(size: float) -> None:
     splats = to_splats(make(np.full((4, 3), size)))
     assert np.isfinite(splats.centers).all()
     assert np.isfinite(splats.covariances.astype(np.float16)).all()
+
+
+def test_sharp_gaussians_are_large_enough_for_viser_to_draw_them() -> None:
+    """Viser's shader: opacity times the determinant on the screen, dilated by 0.3, from 0.25."""
+    scene = make(np.full((200, 3), 1e-6))
+    view = View(np.array([0.1, 0.2, -5.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]), 0.8, 5.0)
+    splats = to_splats(scene, least_scales(scene, view))
+    covariances = splats.covariances.astype(np.float16).astype(np.float64) * splats.scale**2
+    kept = []
+    for mean, matrix in zip(scene.means.astype(np.float64), covariances, strict=True):
+        towards = mean - view.position
+        across = np.linalg.svd(towards[None])[2][1:]  # two axes perpendicular to the line of sight
+        focal = ROWS / 2 / np.tan(view.fov / 2) / (AWAY * np.linalg.norm(towards))
+        on_screen = focal**2 * across @ matrix @ across.T + 0.3 * np.eye(2)
+        kept.append(np.linalg.det(on_screen))
+    seen = splats.opacities[:, 0] / 255 * np.array(kept)
+    drawn = scene.opacities >= FAINTEST
+    assert (seen[drawn] > 0.25 * 0.99).all()
+    assert (seen[drawn] < 0.26).all()  # and no larger
+
+
+def test_gaussians_that_are_large_enough_stay_as_they_are() -> None:
+    scene = make(np.random.default_rng(4).uniform(0.1, 0.2, (50, 3)))
+    view = View(np.array([0.0, 0.0, -5.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]), 0.8, 5.0)
+    plain, kept = to_splats(scene), to_splats(scene, least_scales(scene, view))
+    np.testing.assert_array_equal(plain.covariances, kept.covariances)
