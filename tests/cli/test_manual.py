@@ -126,3 +126,8 @@ def test_it_is_no_command_of_the_list(capsys: pytest.CaptureFixture[str]) -> Non
     assert "styl3r man | man -l -" in capsys.readouterr().out
     assert main.run(["mann"]) == ExitCode.USAGE
     assert " man" not in capsys.readouterr().err.replace("'mann'", "")
+
+
+def test_the_installed_page_is_this_one(page: str) -> None:
+    """After a change of options or presets: styl3r man > docs/styl3r.1."""
+    assert (ROOT / "docs" / "styl3r.1").read_text(encoding="utf-8") == page
