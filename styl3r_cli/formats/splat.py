@@ -45,8 +45,10 @@ def decode(data: bytes, name: str) -> Scene:
         name: what to call it in messages.
 
     Raises:
-        InputError: the length is no multiple of a row's.
+        InputError: the file is empty, or its length is no multiple of a row's.
     """
+    if not data:  # a scene of nothing, by the letter; a file that was never filled, in truth
+        raise InputError(f"{name}: the file is empty")
     if len(data) % ROW.itemsize:
         raise InputError(
             f"{name}: not a .splat, or cut off: {len(data)} bytes are not rows of {ROW.itemsize}"

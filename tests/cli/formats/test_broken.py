@@ -57,7 +57,7 @@ def test_cut_off_anywhere(suffix: str) -> None:
         read_or_refused(whole[:end], suffix)
     if suffix != ".splat":
         refused(whole[: len(whole) // 2], suffix)
-        refused(b"", suffix, "empty")
+    refused(b"", suffix, "empty")
     refused(b"this is no scene at all", suffix, r"not a|no|cut off")
 
 
