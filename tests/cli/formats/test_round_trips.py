@@ -152,6 +152,11 @@ def test_cameras_and_text_come_back_or_are_named(suffix: str) -> None:
 @pytest.mark.parametrize("suffix", READABLE)
 def test_a_scene_of_nothing(suffix: str) -> None:
     encoded = encode_scene(scene_of(0), cameras(), suffix)
+    if suffix == ".splat":  # cannot say so: an empty file is taken for a lost one
+        assert encoded.data == b""
+        with pytest.raises(InputError, match="empty"):
+            read_scene(encoded.data, suffix)
+        return
     back = read_scene(encoded.data, suffix)
     assert len(back.gaussians) == encoded.count == 0
     assert len(cameras_from_metadata(back.metadata)) == (2 if suffix in WITH_METADATA else 0)
