@@ -55,9 +55,10 @@ Existing results are replaced; a photo or a style is never overwritten.
     type=click.Choice(QUALITIES),
     default=BEST,
     show_default=True,
-    help="Best fits the colours to the views, which sharpens them; balanced does not; draft also "
-    "reads the photos at half the model's size (--size says another). The example scene, and how "
-    f"well its pictures agree with the best: {help_of('stylize')}.",
+    help="Best fits the colours to the views and leaves out Gaussians that nobody would miss; "
+    "balanced does neither; draft also reads the photos at half the model's size (--size says "
+    "another). The example scene of four photos, and how well its pictures agree with the best "
+    f"before anything is left out: {help_of('stylize')}.",
 )
 @scene_options
 def command(styles: tuple[WeightedStyle, ...], strength: float, **options: Any) -> None:
