@@ -35,7 +35,7 @@ def start(tiny_model: Path, photos: list[Path]) -> Start:
 
     def begin(folder: Path, output: str = NAMES[0], **options: object) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "styl3r_cli", "reconstruct", *map(str, photos), "-q"]
-        command += ["--model", str(tiny_model), "--fov", "50", "--threads", "1"]
+        command += ["--model", str(tiny_model), "--fov", "50", "--threads", "1", "--all"]
         target = output if output == "-" else str(folder / output)
         command += ["-o", target, "--cameras-out", str(folder / NAMES[1])]
         settings = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
