@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -244,3 +246,12 @@ def test_points_are_measured_in_processes_of_their_own(
     points = json.loads((tmp_path / "r" / "tradeoff.json").read_text())["points"]
     assert points[1]["gaussians"] <= points[0]["gaussians"] / 2
     assert points[1]["seconds_compact"] > 0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere peaks are one's own")
+def test_a_points_memory_is_its_own() -> None:
+    """Not that of the process that started it, which Linux reports in getrusage."""
+    ballast = np.ones(300 << 20, np.uint8)
+    code = "from styl3r_cli.tradeoff.worker import peak_memory; print(peak_memory())"
+    started = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert 10e6 < int(started.stdout) < ballast.nbytes
