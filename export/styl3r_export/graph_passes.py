@@ -55,6 +55,13 @@ def fold_transposes(graph: ir.Graph) -> None:
         graph.initializers.add(turned)
 
 
+def name_sampling(graph: ir.Graph) -> None:
+    """Bilinear sampling by its name of opset 20, also in loops, which the converter leaves out."""
+    for node in graph.all_nodes():
+        if node.op_type == "GridSample" and node.attributes.get_string("mode") == "bilinear":
+            node.attributes["mode"] = ir.AttrString("mode", "linear")
+
+
 def constant(value: ir.Value) -> ir.TensorProtocol:
     """An initializer's values."""
     assert value.const_value is not None

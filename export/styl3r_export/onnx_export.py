@@ -177,6 +177,7 @@ def finish(graph_model: ir.Model, model: Styl3r, precision: Precision) -> None:
     parameters = {name for name, _ in model.named_parameters(remove_duplicate=False)}
     graph = graph_model.graph
     graph_passes.name_weights(graph)
+    graph_passes.name_sampling(graph)
     graph_passes.fold_transposes(graph)
     turned = {n for n in graph.initializers if graph_passes.parameter_name(n) in parameters}
     graph_passes.simplify(graph_model, turned)

@@ -14,6 +14,7 @@ from styl3r_export.model.bundle import NOISE, Fit, Sides, adjust, fit
 from styl3r_export.model.config import ModelConfig
 from styl3r_export.model.flow import Flow, Flows
 from styl3r_export.model.rotations import Motion, full_precision, rotation_matrix
+from styl3r_export.model.subpixel import settle, traceable
 
 # Numbers that describe the match of one 1/8 cell; four cells make one 16 px token.
 CELL_FEATURES = 12
@@ -80,15 +81,8 @@ class StarMatching(nn.Module):
     ) -> Flows:
         """From the first view to every other, and behind them back from those."""
         context = self.flow.context(images.flatten(0, 1)).unflatten(0, maps.shape[:2])
-
-        def first_and_rest(t: Tensor) -> tuple[Tensor, Tensor]:
-            rest = t[:, 1:]
-            return t[:, :1].expand_as(rest).flatten(0, 1), rest.flatten(0, 1)
-
-        first, rest = first_and_rest(maps)
-        source = torch.cat((first, rest))
-        target = torch.cat((rest, first))
-        return self.flow(source, target, torch.cat(first_and_rest(context)))
+        source, target = both_directions(maps)
+        return self.flow(source, target, both_directions(context)[0])
 
     @staticmethod
     @torch.no_grad()
@@ -116,8 +110,11 @@ class StarMatching(nn.Module):
         """What to add to the decoder's tokens, the matches, and the cameras they suggest."""
         rows, columns = maps.shape[-2:]
         flows = self.both_flows(maps, images)
-        with full_precision(maps):
-            pairs, first, rest = self.solve(flows, intrinsics)
+        with full_precision(maps), torch.no_grad():
+            traced = traceable((images.float().flatten(0, 1) + 1) / 2)
+            settled = settle(flows, *both_directions(traced.unflatten(0, maps.shape[:2])))
+            pairs, first, rest = self.solve(settled, intrinsics)
+        pairs = pairs._replace(flows=flows)  # what training compares with the truth
         batch = (maps.shape[0], maps.shape[1] - 1)
         token0 = self.first(to_tokens(first.unflatten(0, batch), rows, columns))
         tokens = self.rest(to_tokens(rest.unflatten(0, batch), rows, columns))
@@ -125,6 +122,15 @@ class StarMatching(nn.Module):
         tokens = torch.cat((tokens, camera[:, :, None]), dim=2)
         token0 = F.pad(token0.mean(dim=1, keepdim=True), (0, 0, 0, 1))
         return torch.cat((token0, tokens), dim=1), pairs
+
+
+def both_directions(
+    views: Float[Tensor, "batch views ..."],
+) -> tuple[Float[Tensor, "2*pairs ..."], Float[Tensor, "2*pairs ..."]]:
+    """What every match leads from, and what it leads to: each pair there, behind them each back."""
+    rest = views[:, 1:]
+    first, rest = views[:, :1].expand_as(rest).flatten(0, 1), rest.flatten(0, 1)
+    return torch.cat((first, rest)), torch.cat((rest, first))
 
 
 def triangulated(

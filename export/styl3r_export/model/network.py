@@ -24,6 +24,7 @@ from styl3r_export.model.adapter import (
 from styl3r_export.model.backbone import Backbone
 from styl3r_export.model.config import CONFIGS, PATCH, ModelConfig
 from styl3r_export.model.dpt import STRUCTURE_CHANNELS, GaussianTrunk, Head, PointTrunk
+from styl3r_export.model.edges import snap
 from styl3r_export.model.flow import Flows
 from styl3r_export.model.matching import StarMatching
 from styl3r_export.model.refinement import refine
@@ -252,6 +253,7 @@ class Styl3r(nn.Module):
         if refined_too:
             with torch.no_grad():
                 motion, refined, trust = refine(guess, depth, log_error, pairs.sides)
+                refined = snap(refined, motion, images, intrinsics)
             refined = depth * (refined / depth).detach()
         batch = images.shape[0]
         return RayDecoding(

@@ -39,7 +39,7 @@ CELL = 8
 MODESTY = 2.0
 # Errors (ray units; a cell of a 256 px picture is about 0.03 wide) at which matches are
 # discounted, by iteration.
-OUTLIERS = (0.12, 0.08, 0.05, 0.03)
+OUTLIERS = (0.12, 0.08, 0.05, 0.03, 0.02, 0.015, 0.01)
 # Largest correction of log depth, a factor of two: beyond it a match is more likely wrong than
 # the decoder is.
 MAX_CORRECTION = 0.7
