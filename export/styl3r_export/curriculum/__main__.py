@@ -54,7 +54,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("stage", choices=list(TRAINS))
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--config", choices=list(CONFIGS), default="mini", help="a new network's")
-    parser.add_argument("--start", type=Path, help="checkpoint to start from")
+    parser.add_argument(
+        "--start", type=Path, help="checkpoint, or folder of exported graphs, to start from"
+    )
     scenes = parser.add_argument_group("scenes: generated ones, or posed videos in chunks")
     scenes.add_argument("--data", type=Path, help="folder of scene shards")
     scenes.add_argument("--re10k", type=Path, help="folder of RealEstate10K's chunks")

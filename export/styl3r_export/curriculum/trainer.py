@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from styl3r_export.curriculum.layout import channels_last
+from styl3r_export.graphs_reading import load_graphs
 from styl3r_export.model import ModelConfig, Styl3r, build
 
 # Loss terms by name, already weighted; their sum is minimised.
@@ -69,7 +70,7 @@ class Trainer:
         self.step = 0
         resume = folder / "last.pt"
         source = resume if resume.exists() else start
-        state = load_checkpoint(source) if source else None
+        state = load_start(source) if source else None
         model_config = ModelConfig.from_dict(state["config"]) if state else None
         self.model = build(model_config or config).to(self.device)
         if state:
@@ -228,6 +229,18 @@ class Trainer:
 def load_checkpoint(path: Path) -> dict[str, Any]:
     """A checkpoint of this project, without executing anything in it."""
     return torch.load(path, map_location="cpu", weights_only=True)
+
+
+def load_start(source: Path) -> dict[str, Any]:
+    """What training can start from: a checkpoint, or a folder of exported graphs.
+
+    Raises:
+        ModelError: a folder that holds no model.
+    """
+    if not source.is_dir():
+        return load_checkpoint(source)
+    model, _ = load_graphs(source)
+    return {"config": model.config.to_dict(), "model": model.state_dict()}
 
 
 def load_fitting(model: Styl3r, weights: dict[str, Tensor]) -> None:
