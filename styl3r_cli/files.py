@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import secrets
 import stat
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +18,34 @@ from styl3r_cli.errors import InputError, OutputError, UsageError
 from styl3r_cli.names import real_path
 
 TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
+STDOUT_CLOSED = "cannot write standard output: it is closed"
+# Seconds that somebody has to open a named pipe's other end (a program before this one in a script
+# may have work to do first), and between two looks whether they have.
+PATIENCE, GLANCE = 60.0, 0.02
+PIPE_SIZE = 1 << 16  # bytes
 TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
+
+
+class ClosedOutput(io.TextIOBase):
+    """Standard output where there is none: printing a result fails, instead of passing unnoticed.
+
+    Python has None there, which `print` and click take for nothing to do.
+    """
+
+    def write(self, text: str) -> int:
+        """Refuse any text.
+
+        Raises:
+            OutputError: always, unless there is nothing to write.
+        """
+        if text:
+            raise OutputError(STDOUT_CLOSED)
+        return 0
+
+
+def stdout_is_closed() -> bool:
+    """Whether this process was started without a standard output."""
+    return sys.stdout is None or isinstance(sys.stdout, ClosedOutput)
 
 
 @contextmanager
@@ -40,7 +69,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         target = real_path(path)
         if _written_directly(target):
-            yield target
+            with _reader_of(target):
+                yield target
             return
         temporary = _name_beside(target)
     except OSError as error:
@@ -76,8 +106,8 @@ def stdout_stream() -> Iterator[Callable[[bytes], None]]:
         UsageError: standard output is a terminal, which binary data would garble.
         OutputError: it is closed, the reading end has gone, or the device is full.
     """
-    if sys.stdout is None:
-        raise OutputError("cannot write standard output: it is closed")
+    if stdout_is_closed():
+        raise OutputError(STDOUT_CLOSED)
     if sys.stdout.isatty():
         raise UsageError(
             "-o -: standard output is a terminal; pipe it into a program or redirect it to a file"
@@ -107,16 +137,52 @@ def _write_all(stream: IO[bytes], data: bytes) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """What is in a file or comes through a named pipe.
+    """What is in a file, or comes through a pipe that has a name: mkfifo's, or a shell's `<(...)`.
 
     Raises:
-        OSError: it cannot be read, or is a device: /dev/zero never ends, and a link may lead there.
+        OSError: it cannot be read; it is a pipe that nobody writes to for `PATIENCE`; or it is a
+            device: /dev/zero never ends, and a link may lead there.
     """
-    with path.open("rb") as file:
+    with open(path, "rb", opener=_opened_at_once) as file:
         mode = os.fstat(file.fileno()).st_mode
         if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise OSError(errno.EINVAL, "a device, not a file", str(path))
-        return file.read()
+        begun = _first_bytes(file.fileno()) if stat.S_ISFIFO(mode) else b""
+        return begun + file.read()
+
+
+def is_pipe(path: Path) -> bool:
+    """Whether the path names a pipe, which can be read only once."""
+    try:
+        return path.is_fifo()
+    except OSError:
+        return False
+
+
+def _opened_at_once(name: str, flags: int) -> int:
+    """Open a file without waiting for somebody at a pipe's other end."""
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _first_bytes(pipe: int) -> bytes:
+    """Wait for whoever writes into a pipe, and no longer than `PATIENCE` for there to be anybody.
+
+    Without a writer, a pipe that does not block is at its end; with one that is still to write,
+    there is nothing to be read yet.
+    """
+    until = time.monotonic() + PATIENCE
+    begun = b""
+    while not begun:
+        try:
+            begun = os.read(pipe, PIPE_SIZE)
+        except BlockingIOError:
+            break
+        if not begun:
+            if time.monotonic() > until:
+                raise TimeoutError(errno.ETIMEDOUT, "a pipe that nobody writes to")
+            time.sleep(GLANCE)
+    os.set_blocking(pipe, True)
+    return begun
 
 
 def read_stdin() -> bytes:
@@ -148,6 +214,33 @@ def _written_directly(target: Path) -> bool:
     if stat.S_ISDIR(mode):
         raise OutputError(f"cannot write {target}: it is a folder; name a file in it")
     return not stat.S_ISREG(mode)
+
+
+@contextmanager
+def _reader_of(target: Path) -> Iterator[None]:
+    """Wait for whoever reads from a named pipe; it is open meanwhile, or they would see its end.
+
+    Raises:
+        OSError: nobody has for `PATIENCE`.
+    """
+    if not is_pipe(target):
+        yield
+        return
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            pipe = os.open(target, os.O_WRONLY | os.O_NONBLOCK)
+            break
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+        if time.monotonic() > until:
+            raise TimeoutError(errno.ETIMEDOUT, "a pipe that nobody reads from")
+        time.sleep(GLANCE)
+    try:
+        yield
+    finally:
+        os.close(pipe)
 
 
 def _name_beside(target: Path) -> Path:
