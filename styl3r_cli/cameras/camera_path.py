@@ -18,6 +18,7 @@ from styl3r_cli.cameras.json_values import (
     is_lens,
     load_object,
     number,
+    rate,
     rigid,
     shown,
 )
@@ -77,7 +78,7 @@ def _camera_path_of(name: str, content: dict[str, Any]) -> CameraFile:
         if not isinstance(entry, dict):
             raise InputError(f"{where}: not an object")
         cameras.append(_camera(entry, *size, where))
-    fps = number(content, "fps", name)
+    fps = rate(content, name)
     if fps is not None and fps <= 0:
         raise InputError(f"{name}: 'fps' is {fps:g}; a rate is above 0")
     loop = content.get("is_cycle")

@@ -19,6 +19,7 @@ LARGEST_SIDE = 99_999  # pixels of a frame; `--size` takes as many digits
 FARTHEST = 1e15  # of a camera from the origin: float32 holds squares up to 3e38
 # Degrees across or down a frame: what the renderer is exact for, and more than any lens has.
 NARROWEST, WIDEST = 0.01, 179.0
+MOST_FPS = 1000  # as many as `--fps` takes
 LONGEST_QUOTE = 40  # characters of a wrong value in a message
 
 
@@ -48,6 +49,14 @@ def number(values: dict[str, Any], key: str, where: str) -> float | None:
     except OverflowError:  # JSON's whole numbers have any number of digits
         pass
     raise InputError(f"{where}: '{key}' is {shown(value)}, not a number")
+
+
+def rate(values: dict[str, Any], where: str) -> float | None:
+    """Frames per second, or None if the file does not say."""
+    fps = number(values, "fps", where)
+    if fps is not None and fps > MOST_FPS:
+        raise InputError(f"{where}: 'fps' is {fps:g}; at most {MOST_FPS} frames a second")
+    return fps
 
 
 def frame_size(width: float | None, height: float | None) -> tuple[int, int] | None:

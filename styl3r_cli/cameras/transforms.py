@@ -20,6 +20,7 @@ from styl3r_cli.cameras.json_values import (
     is_lens,
     load_object,
     number,
+    rate,
     rigid,
     shown,
 )
@@ -117,7 +118,7 @@ def transforms_of(
     notes = []
     if distorted:
         notes.append(f"{name}: lens distortion in {distorted} frames is ignored; undistort first")
-    fps, loop = number(content, "fps", name), content.get("is_cycle")
+    fps, loop = rate(content, name), content.get("is_cycle")
     fps = fps if fps and fps > 0 else None
     return CameraFile(cameras, file_paths, notes, fps, loop if isinstance(loop, bool) else None)
 

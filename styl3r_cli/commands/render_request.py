@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from styl3r_cli.commands.checks import check_outputs, check_stdout
+from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import OutputError, UsageError
 from styl3r_cli.frames import SURROUNDINGS, Background, Colour
@@ -132,6 +132,8 @@ def check(request: RenderRequest) -> None:
     """
     _check_kind(request)
     outputs = [request.save_path] if request.save_path else []
+    for path in outputs:  # a file of anything else is named by mistake, and would be lost
+        check_suffix(path, ".json", "--save-path")
     if request.output == STDOUT:
         check_stdout("-o -")
     else:

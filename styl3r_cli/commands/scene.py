@@ -89,8 +89,8 @@ def _make_one(
         gaussians = compaction.gaussians
     with console.stage("write"):
         encoded = _write(request, inputs, gaussians, recovered, console)
-    if compaction is not None:
-        compaction = _measured(request, compaction, whole, encoded, console)
+        if compaction is not None:
+            compaction = _measured(request, compaction, whole, encoded, console)
     if request.video:
         _film(request, gaussians, recovered, console)
     if request.preview:
@@ -105,22 +105,17 @@ def _make_one(
 
 
 def _measured(
-    request: SceneRequest,
-    compaction: Compaction,
-    whole: Gaussians,
-    encoded: Encoded,
-    console: Console,
+    request: SceneRequest, made: Compaction, whole: Gaussians, encoded: Encoded, console: Console
 ) -> Compaction:
     """What a compaction is worth in the file that was written, told."""
     from styl3r_cli.commands.written import as_written, broken_promise
 
     assert request.decibels is not None
-    with console.stage("compact"):
-        made = as_written(compaction, whole, encoded, request.suffix, request.threads)
-    for note in broken_promise(made, request.suffix, request.decibels):
+    stored = as_written(made, whole, encoded, request.suffix, request.threads)
+    for note in broken_promise(stored, request.suffix, request.decibels):
         console.note(note)
-    console.tell(kept_line(made))
-    return made
+    console.tell(kept_line(stored))
+    return stored
 
 
 def _recover(scene: Scene, photos: Photos, console: Console) -> Recovered:

@@ -245,6 +245,7 @@ FAR[0, 3] = 1e300
         ({"w": 1e300}, "not a picture's size"),
         ({"w": LARGEST_SIDE + 1}, "not a picture's size"),
         ({"fps": -(10**400)}, "not a number"),
+        ({"fps": 1e300}, "at most 1000 frames"),
         ({"fl_x": 1e300}, "not a focal length"),
         ({"fl_x": 1e-300}, "not a focal length"),
         ({"fl_x": -60}, "not a focal length"),

@@ -44,16 +44,16 @@ def started(*arguments: object, **options: object) -> subprocess.CompletedProces
 
 
 TWICE = [
-    "render s.ply -o a.gif --save-path a.gif",
-    "render s.ply -o a.gif --save-path ./a.gif",
-    "render s.ply -o a.gif --save-path link.gif",
-    "render s.ply --path wobble --frames 3 -o %d.png --save-path 2.png",
+    "render s.ply -o a.json --format gif --save-path a.json",
+    "render s.ply -o a.json --format gif --save-path ./a.json",
+    "render s.ply -o a.json --format gif --save-path link.json",
+    "render s.ply --frames 3 -o %d.json --format png --save-path 2.json",
     "render s.ply --cameras 0.png -o %d.png",
     "render s.ply --path 0.png -o %d.png",
     "reconstruct photos -o a.ply --video a.webp --preview b.png --cameras-out cams.json"
     " --cameras cams.json",
     "reconstruct photos -o a.ply --cameras-out {model}/manifest.json",
-    "bench render s.ply --json s.ply",
+    "bench render cams.json --json cams.json",
 ]
 
 
@@ -62,7 +62,7 @@ def test_no_file_is_two_things(
     here: Path, photos: list[Path], tiny_model: Path, capsys: pytest.CaptureFixture[str], line: str
 ) -> None:
     if sys.platform != "win32":
-        Path("link.gif").symlink_to("a.gif")
+        Path("link.json").symlink_to("a.json")
     for name in ("0.png", "1.png"):
         Path(name).write_bytes(Path("cams.json").read_bytes())
     words = line.format(model=tiny_model).split()
@@ -75,14 +75,16 @@ def test_no_file_is_two_things(
     assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
 
 
-def test_two_results_of_the_same_name_in_a_scene(
-    run: Run, photos: list[Path], style: Path, tmp_path: Path
-) -> None:
-    twice = tmp_path / "a.gif"
-    words = ("--video", twice, "--preview", tmp_path / "b.png", "--fov", "50")
-    assert run("stylize", *photos, "-s", style, "-o", tmp_path / "a.ply", *words)[0] == 0
-    both = ("--cameras-out", tmp_path / "c.json", "--cameras", tmp_path / "c.json")
-    assert run("stylize", *photos, "-s", style, "-o", tmp_path / "a.ply", *both)[0] == 2
+NO_JSON = ["render s.ply -o a.gif --save-path s.ply", "bench render --json s.ply"]
+
+
+@pytest.mark.parametrize("line", NO_JSON)
+def test_json_replaces_json_only(here: Path, line: str, capsys) -> None:
+    """`--json` takes no file in other commands: a scene may be named after it by mistake."""
+    before = Path("s.ply").read_bytes()
+    assert main.run(line.split()) == 2
+    assert "must end in .json" in capsys.readouterr().err
+    assert Path("s.ply").read_bytes() == before
 
 
 @linux
