@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 
-from styl3r_cli.cameras.json_values import MOST_FPS
 from styl3r_cli.commands.options import (
     LOOP_FPS,
     LOOP_FRAMES,
@@ -90,7 +89,7 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
 )
 @click.option(
     "--fps",
-    type=Number(min=0, min_open=True, max=MOST_FPS),
+    type=Number(min=0, min_open=True, max=1000),
     help=f"Frames per second; {LOOP_FPS:g} by default, or what a camera path says.",
 )
 @click.option(
