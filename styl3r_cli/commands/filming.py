@@ -49,6 +49,8 @@ def film(request: RenderRequest, quiet: bool) -> None:
     with console.stage("scene"):
         scene = _read(request.scene, console)
         other = _read(str(request.compare), console) if request.compare else None
+        if not len(scene.gaussians):
+            console.note(f"{request.scene}: no Gaussians in it: nothing is to be seen")
         shots = plan_shots(request, scene, console)
         first = shots.cameras[0]
         check_size(request, first.width, first.height)

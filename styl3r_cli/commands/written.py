@@ -28,6 +28,10 @@ def as_written(
     Raises:
         InputError: nothing is left in the file.
     """
+    if not len(made.gaussians):
+        raise InputError(
+            f"no camera that judges it sees any of its {len(whole)} Gaussians: none would be left"
+        )
     if not encoded.count:
         raise InputError(f"none of its {len(whole)} Gaussians can be kept in a {suffix}")
     if suffix in NEVER_READ:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -231,6 +232,15 @@ def test_a_named_pipe_waits_for_its_other_end(here: Path) -> None:
         if isinstance(thread, threading.Timer):
             thread.join()
     assert got == [Path("a.ply").read_bytes()] == [Path("s.ply").read_bytes()]
+
+
+def test_a_scene_that_no_camera_sees_is_not_emptied(here: Path, capsys) -> None:
+    behind = np.diag([1.0, -1, -1, 1])
+    write_transforms(Path("behind.json"), [replace(CAMERA, extrinsics=behind)], ["0.png"])
+    words = ["compact", "s.ply", "-o", "o.ply", "--cameras", "behind.json"]
+    assert main.run([*words, "--max-gaussians", "1"]) == 3
+    assert "no camera" in capsys.readouterr().err
+    assert not Path("o.ply").exists()
 
 
 def test_decibels_are_of_what_the_file_holds(here: Path, capsys) -> None:
