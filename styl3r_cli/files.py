@@ -8,7 +8,6 @@ import os
 import secrets
 import stat
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,13 +15,10 @@ from typing import IO
 
 from styl3r_cli.errors import InputError, OutputError, UsageError
 from styl3r_cli.names import real_path
+from styl3r_cli.pipes import first_bytes, opened_at_once, reader_of
 
 TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
 STDOUT_CLOSED = "cannot write standard output: it is closed"
-# Seconds that somebody has to open a named pipe's other end (a program before this one in a script
-# may have work to do first), and between two looks whether they have.
-PATIENCE, GLANCE = 60.0, 0.02
-PIPE_SIZE = 1 << 16  # bytes
 TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
 
 
@@ -69,7 +65,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         target = real_path(path)
         if _written_directly(target):
-            with _reader_of(target):
+            with reader_of(target):
                 yield target
             return
         temporary = _name_beside(target)
@@ -140,49 +136,15 @@ def read_file(path: Path) -> bytes:
     """What is in a file, or comes through a pipe that has a name: mkfifo's, or a shell's `<(...)`.
 
     Raises:
-        OSError: it cannot be read; it is a pipe that nobody writes to for `PATIENCE`; or it is a
+        OSError: it cannot be read; it is a pipe that nobody writes to for long; or it is a
             device: /dev/zero never ends, and a link may lead there.
     """
-    with open(path, "rb", opener=_opened_at_once) as file:
+    with open(path, "rb", opener=opened_at_once) as file:
         mode = os.fstat(file.fileno()).st_mode
         if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise OSError(errno.EINVAL, "a device, not a file", str(path))
-        begun = _first_bytes(file.fileno()) if stat.S_ISFIFO(mode) else b""
+        begun = first_bytes(file.fileno()) if stat.S_ISFIFO(mode) else b""
         return begun + file.read()
-
-
-def is_pipe(path: Path) -> bool:
-    """Whether the path names a pipe, which can be read only once."""
-    try:
-        return path.is_fifo()
-    except OSError:
-        return False
-
-
-def _opened_at_once(name: str, flags: int) -> int:
-    """Open a file without waiting for somebody at a pipe's other end."""
-    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-
-
-def _first_bytes(pipe: int) -> bytes:
-    """Wait for whoever writes into a pipe, and no longer than `PATIENCE` for there to be anybody.
-
-    Without a writer, a pipe that does not block is at its end; with one that is still to write,
-    there is nothing to be read yet.
-    """
-    until = time.monotonic() + PATIENCE
-    begun = b""
-    while not begun:
-        try:
-            begun = os.read(pipe, PIPE_SIZE)
-        except BlockingIOError:
-            break
-        if not begun:
-            if time.monotonic() > until:
-                raise TimeoutError(errno.ETIMEDOUT, "a pipe that nobody writes to")
-            time.sleep(GLANCE)
-    os.set_blocking(pipe, True)
-    return begun
 
 
 def read_stdin() -> bytes:
@@ -214,33 +176,6 @@ def _written_directly(target: Path) -> bool:
     if stat.S_ISDIR(mode):
         raise OutputError(f"cannot write {target}: it is a folder; name a file in it")
     return not stat.S_ISREG(mode)
-
-
-@contextmanager
-def _reader_of(target: Path) -> Iterator[None]:
-    """Wait for whoever reads from a named pipe; it is open meanwhile, or they would see its end.
-
-    Raises:
-        OSError: nobody has for `PATIENCE`.
-    """
-    if not is_pipe(target):
-        yield
-        return
-    until = time.monotonic() + PATIENCE
-    while True:
-        try:
-            pipe = os.open(target, os.O_WRONLY | os.O_NONBLOCK)
-            break
-        except OSError as error:
-            if error.errno != errno.ENXIO:
-                raise
-        if time.monotonic() > until:
-            raise TimeoutError(errno.ETIMEDOUT, "a pipe that nobody reads from")
-        time.sleep(GLANCE)
-    try:
-        yield
-    finally:
-        os.close(pipe)
 
 
 def _name_beside(target: Path) -> Path:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import InputError
-from styl3r_cli.files import is_pipe, read_file, read_stdin
+from styl3r_cli.files import read_file, read_stdin
 from styl3r_cli.formats import Scene, read_scene, recognise, scene_suffix
 from styl3r_cli.names import user_path
+from styl3r_cli.pipes import is_pipe
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from itertools import takewhile
 from pathlib import Path
 
 from styl3r_cli.errors import InputError
-from styl3r_cli.files import is_pipe
 from styl3r_cli.names import user_path
+from styl3r_cli.pipes import is_pipe
 
 JPEG = (".jpg", ".jpeg", ".jpe")
 HEIF = (".heic", ".heif", ".hif", ".avif")

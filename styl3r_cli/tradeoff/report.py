@@ -18,9 +18,10 @@ from styl3r_cli import __version__
 from styl3r_cli.commands.checks import check_outputs
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, OutputError, UsageError
-from styl3r_cli.files import atomic_write, is_pipe
+from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, to_picture
 from styl3r_cli.photos import expand, load_photos
+from styl3r_cli.pipes import is_pipe
 from styl3r_cli.sessions import available_cores
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.page import make_page

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from styl3r_cli import files, main
+from styl3r_cli import main, pipes
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.stored import cameras_to_metadata
 from styl3r_cli.cameras.transforms import write_transforms
@@ -151,7 +151,7 @@ def test_empty_names(photos: list[Path], style: Path, tmp_path: Path, capsys, op
 @pytest.fixture
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody comes to these pipes."""
-    monkeypatch.setattr(files, "PATIENCE", 0.2)
+    monkeypatch.setattr(pipes, "PATIENCE", 0.2)
 
 
 LONELY = [
