@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import secrets
 import stat
@@ -14,9 +15,33 @@ from typing import IO
 
 from styl3r_cli.errors import InputError, OutputError, UsageError
 from styl3r_cli.names import real_path
+from styl3r_cli.pipes import first_bytes, opened_at_once, reader_of
 
 TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
+STDOUT_CLOSED = "cannot write standard output: it is closed"
 TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
+
+
+class ClosedOutput(io.TextIOBase):
+    """Standard output where there is none: printing a result fails, instead of passing unnoticed.
+
+    Python has None there, which `print` and click take for nothing to do.
+    """
+
+    def write(self, text: str) -> int:
+        """Refuse any text.
+
+        Raises:
+            OutputError: always, unless there is nothing to write.
+        """
+        if text:
+            raise OutputError(STDOUT_CLOSED)
+        return 0
+
+
+def stdout_is_closed() -> bool:
+    """Whether this process was started without a standard output."""
+    return sys.stdout is None or isinstance(sys.stdout, ClosedOutput)
 
 
 @contextmanager
@@ -40,7 +65,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         target = real_path(path)
         if _written_directly(target):
-            yield target
+            with reader_of(target):
+                yield target
             return
         temporary = _name_beside(target)
     except OSError as error:
@@ -76,8 +102,8 @@ def stdout_stream() -> Iterator[Callable[[bytes], None]]:
         UsageError: standard output is a terminal, which binary data would garble.
         OutputError: it is closed, the reading end has gone, or the device is full.
     """
-    if sys.stdout is None:
-        raise OutputError("cannot write standard output: it is closed")
+    if stdout_is_closed():
+        raise OutputError(STDOUT_CLOSED)
     if sys.stdout.isatty():
         raise UsageError(
             "-o -: standard output is a terminal; pipe it into a program or redirect it to a file"
@@ -107,16 +133,18 @@ def _write_all(stream: IO[bytes], data: bytes) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """What is in a file or comes through a named pipe.
+    """What is in a file, or comes through a pipe that has a name: mkfifo's, or a shell's `<(...)`.
 
     Raises:
-        OSError: it cannot be read, or is a device: /dev/zero never ends, and a link may lead there.
+        OSError: it cannot be read; it is a pipe that nobody writes to for long; or it is a
+            device: /dev/zero never ends, and a link may lead there.
     """
-    with path.open("rb") as file:
+    with open(path, "rb", opener=opened_at_once) as file:
         mode = os.fstat(file.fileno()).st_mode
         if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise OSError(errno.EINVAL, "a device, not a file", str(path))
-        return file.read()
+        begun = first_bytes(file.fileno()) if stat.S_ISFIFO(mode) else b""
+        return begun + file.read()
 
 
 def read_stdin() -> bytes:

@@ -16,6 +16,7 @@ import click
 
 from styl3r_cli import __version__, console, memory
 from styl3r_cli.errors import BROKEN_PIPE, HANGUP, MEANINGS, TERMINATED, ExitCode, Styl3rError
+from styl3r_cli.files import ClosedOutput
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
 # so that the list of commands needs none of their libraries.
@@ -38,7 +39,8 @@ COMPLETION = "_STYL3R_COMPLETE"  # click's; what else a shell sets then may be m
 OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
 
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+# What writing fails with: a full disk, a terminal that is gone, a stream that is for reading.
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 
 def exit_code_columns() -> str:
@@ -142,11 +144,17 @@ def _fill_standard_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+    if sys.stdout is None:
+        sys.stdout = ClosedOutput()
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return the exit code; failures are told on stderr."""
-    console.use_format(os.environ.get(console.LOG, ""))
+    asked = os.environ.get(console.LOG) or console.LOG_FORMATS[0]
+    console.use_format(asked)
+    if asked not in console.LOG_FORMATS:
+        known = " or ".join(console.LOG_FORMATS)
+        return _fail(f"{console.LOG}={asked}: {known}, or not set", ExitCode.USAGE)
     try:
         result = group.main(
             args=None if arguments is None else list(arguments),
@@ -175,7 +183,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             )
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
             return _fail(f"{os.fsdecode(error.filename)}: {error.strerror}", ExitCode.INPUT)
-        if isinstance(error, OSError) and error.errno in FULL:  # files have their own message
+        if isinstance(error, OSError) and error.errno in UNWRITABLE:  # files have their own message
             return _fail(f"cannot write standard output: {error.strerror}", ExitCode.OUTPUT)
         what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         return _fail(f"a bug: {what} ({DEBUG}=1 shows where; please report it)", ExitCode.INTERNAL)

@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from styl3r_cli.errors import ModelError
 from styl3r_cli.files import read_file
@@ -35,6 +35,7 @@ PROP_PHOTO_RANGE = "styl3r.photo_as_style_range"  # JSON [low, high]: a content 
 PROP_PICTURES = "styl3r.paints_pictures"  # JSON: whether colours are what the views should show
 PROP_INPUT_SIZE = "styl3r.input_size"  # JSON [height, width] that the model was trained at
 
+Field = TypeVar("Field", int, str)
 _BLOCK = 1 << 22  # bytes hashed at a time
 
 
@@ -111,11 +112,11 @@ def read_manifest(folder: Path) -> Manifest:
 def _parse(path: Path, values: dict[str, Any]) -> Manifest:
     try:
         files = {
-            str(name): FileEntry(int(entry["bytes"]), str(entry["sha256"]))
+            name: FileEntry(_of(int, entry, "bytes"), _of(str, entry, "sha256"))
             for name, entry in values["files"].items()
         }
-        model, trained = str(values["model"]), str(values["model_version"])
-        identity, precision = str(values["weights_id"]), str(values["precision"])
+        model, trained = _of(str, values, "model"), _of(str, values, "model_version")
+        identity, precision = _of(str, values, "weights_id"), _of(str, values, "precision")
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         message = f"{path}: a field is missing or of the wrong kind ({error}); export again"
         raise ModelError(message) from error
@@ -123,6 +124,19 @@ def _parse(path: Path, values: dict[str, Any]) -> Manifest:
     if missing or any(Path(name).name != name for name in files):
         raise ModelError(f"{path}: does not list the two graphs; export the model again")
     return Manifest(model, trained, identity, precision, files)
+
+
+def _of(kind: type[Field], values: dict[str, Any], key: str) -> Field:
+    """A field, of exactly that type.
+
+    Raises:
+        KeyError: it is missing.
+        TypeError: it is of another.
+    """
+    value = values[key]
+    if type(value) is not kind:  # and no bool for an int
+        raise TypeError(f"'{key}' is no {kind.__name__}")
+    return value
 
 
 def check_file(folder: Path, name: str, manifest: Manifest) -> None:

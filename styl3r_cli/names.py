@@ -18,5 +18,5 @@ def real_path(path: Path) -> Path:
     """The path without links; a loop of links ends in a link again (pathlib's own raises)."""
     try:
         return Path(os.path.realpath(path))
-    except OSError:  # the folder that this process is in has been removed
+    except (OSError, ValueError):  # this process's folder was removed; a NUL in the name
         return path

@@ -11,19 +11,28 @@ from typing import Any
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.json_values import frame_size, load_object, number, rigid, shown
+from styl3r_cli.cameras.json_values import (
+    NARROWEST,
+    WIDEST,
+    frame_size,
+    is_lens,
+    load_object,
+    number,
+    rate,
+    rigid,
+    shown,
+)
 from styl3r_cli.cameras.transforms import (
     OPENGL_FROM_OPENCV,
     WRITTEN_MODEL,
     CameraFile,
     frame_entry,
-    read_transforms,
+    transforms_of,
 )
 from styl3r_cli.errors import InputError
 from styl3r_cli.files import atomic_write
 
 PERSPECTIVE = "perspective"
-STRAIGHT = math.pi  # no lens sees half of everything
 
 
 def read_cameras(source: Path, size: tuple[int, int] | None = None) -> CameraFile:
@@ -32,10 +41,10 @@ def read_cameras(source: Path, size: tuple[int, int] | None = None) -> CameraFil
     Raises:
         InputError: it is neither, or something in it is wrong.
     """
-    _, content = load_object(source)
+    name, content = load_object(source)  # once: a pipe has nothing the second time
     if "frames" not in content and "camera_path" in content:
-        return read_camera_path(source)
-    return read_transforms(source, size)
+        return _camera_path_of(name, content)
+    return transforms_of(name, content, size)
 
 
 def read_camera_path(source: Path | bytes) -> CameraFile:
@@ -47,7 +56,10 @@ def read_camera_path(source: Path | bytes) -> CameraFile:
     Raises:
         InputError: the file is missing or no camera path, has no frames, or a value is wrong.
     """
-    name, content = load_object(source)
+    return _camera_path_of(*load_object(source))
+
+
+def _camera_path_of(name: str, content: dict[str, Any]) -> CameraFile:
     entries = content.get("camera_path")
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{name}: no frames in 'camera_path'; expected nerfstudio's camera path")
@@ -66,7 +78,7 @@ def read_camera_path(source: Path | bytes) -> CameraFile:
         if not isinstance(entry, dict):
             raise InputError(f"{where}: not an object")
         cameras.append(_camera(entry, *size, where))
-    fps = number(content, "fps", name)
+    fps = rate(content, name)
     if fps is not None and fps <= 0:
         raise InputError(f"{name}: 'fps' is {fps:g}; a rate is above 0")
     loop = content.get("is_cycle")
@@ -123,8 +135,8 @@ def _camera(entry: dict[str, Any], width: int, height: int, where: str) -> Camer
         matrix = [matrix[row : row + 4] for row in range(0, 16, 4)]
     pose = rigid(matrix, where, "camera_to_world")
     fov = math.radians(number(entry, "fov", where) or 0.0)
-    if not 0 < fov < STRAIGHT:
-        raise InputError(f"{where}: 'fov' is no angle between 0 and 180 degrees")
-    focal = height / 2 / math.tan(fov / 2)
+    focal = height / 2 / math.tan(fov / 2) if 0 < fov < math.pi else 0.0
+    if not is_lens(focal, height):
+        raise InputError(f"{where}: 'fov' is no angle from {NARROWEST:g} to {WIDEST:g} degrees")
     extrinsics = np.linalg.inv(pose @ OPENGL_FROM_OPENCV).astype(np.float64)
     return Camera(extrinsics, focal, focal, width / 2, height / 2, width, height)

@@ -17,6 +17,9 @@ from styl3r_cli.files import read_file
 RIGID_TOLERANCE = 1e-3
 LARGEST_SIDE = 99_999  # pixels of a frame; `--size` takes as many digits
 FARTHEST = 1e15  # of a camera from the origin: float32 holds squares up to 3e38
+# Degrees across or down a frame: what the renderer is exact for, and more than any lens has.
+NARROWEST, WIDEST = 0.01, 179.0
+MOST_FPS = 1000  # as many as `--fps` takes
 LONGEST_QUOTE = 40  # characters of a wrong value in a message
 
 
@@ -48,12 +51,27 @@ def number(values: dict[str, Any], key: str, where: str) -> float | None:
     raise InputError(f"{where}: '{key}' is {shown(value)}, not a number")
 
 
+def rate(values: dict[str, Any], where: str) -> float | None:
+    """Frames per second, or None if the file does not say."""
+    fps = number(values, "fps", where)
+    if fps is not None and fps > MOST_FPS:
+        raise InputError(f"{where}: 'fps' is {fps:g}; at most {MOST_FPS} frames a second")
+    return fps
+
+
 def frame_size(width: float | None, height: float | None) -> tuple[int, int] | None:
     """Whole pixels, or None if no frame has such sides."""
     sides = [side for side in (width, height) if side is not None and 1 <= side <= LARGEST_SIDE]
     if len(sides) < 2 or any(side % 1 for side in sides):
         return None
     return int(sides[0]), int(sides[1])
+
+
+def is_lens(focal: float, side: float) -> bool:
+    """Whether a focal length in pixels gives a frame's side an angle that can be drawn."""
+    if not focal > 0:
+        return False
+    return NARROWEST <= math.degrees(2 * math.atan(side / 2 / focal)) <= WIDEST
 
 
 def rigid(matrix: Any, where: str, key: str = "transform_matrix") -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.json_values import FARTHEST, frame_size, is_rotation
+from styl3r_cli.cameras.json_values import FARTHEST, frame_size, is_lens, is_rotation
 
 # Viewers read only the first kilobytes when they look for the end of a PLY header (10 KB in a
 # popular one), so a camera is one short line: 8 of them are about 1.5 KB.
@@ -44,7 +44,9 @@ def _parse(text: str) -> Camera | None:
     size, (fx, fy, cx, cy) = frame_size(*values[:2]), values[2:6]
     extrinsics = np.eye(4)
     extrinsics[:3] = np.reshape(values[6:], (3, 4))
-    if size is None or fx <= 0 or fy <= 0 or not is_rotation(extrinsics[:3, :3]):
+    if size is None or not is_rotation(extrinsics[:3, :3]):
+        return None
+    if not is_lens(fx, size[0]) or not is_lens(fy, size[1]) or max(abs(cx), abs(cy)) > FARTHEST:
         return None
     if np.abs(extrinsics[:3, 3]).max() > FARTHEST:
         return None

@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.json_values import frame_size, load_object, number, rigid, shown
+from styl3r_cli.cameras.json_values import (
+    FARTHEST,
+    NARROWEST,
+    WIDEST,
+    frame_size,
+    is_lens,
+    load_object,
+    number,
+    rate,
+    rigid,
+    shown,
+)
 from styl3r_cli.errors import InputError
 from styl3r_cli.files import atomic_write
 
@@ -84,7 +95,13 @@ def read_transforms(source: Path | bytes, size: tuple[int, int] | None = None) -
         InputError: the file is missing or no transforms.json, a matrix is not rigid, or a lens is
             not a perspective one.
     """
-    name, content = load_object(source)
+    return transforms_of(*load_object(source), size)
+
+
+def transforms_of(
+    name: str, content: dict[str, Any], size: tuple[int, int] | None = None
+) -> CameraFile:
+    """The same of a file's content, which messages call `name`."""
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames:
         hint = " (a nerfstudio camera path?)" if "camera_path" in content else ""
@@ -101,7 +118,7 @@ def read_transforms(source: Path | bytes, size: tuple[int, int] | None = None) -
     notes = []
     if distorted:
         notes.append(f"{name}: lens distortion in {distorted} frames is ignored; undistort first")
-    fps, loop = number(content, "fps", name), content.get("is_cycle")
+    fps, loop = rate(content, name), content.get("is_cycle")
     fps = fps if fps and fps > 0 else None
     return CameraFile(cameras, file_paths, notes, fps, loop if isinstance(loop, bool) else None)
 
@@ -170,6 +187,8 @@ def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) ->
     if fx is None and fy is None:
         raise InputError(f"{where}: no focal length ('fl_x' or 'camera_angle_x')")
     cx, cy = number(values, "cx", where), number(values, "cy", where)
+    if max(abs(cx or 0), abs(cy or 0)) > FARTHEST:
+        raise InputError(f"{where}: 'cx' and 'cy' are too far out to be drawn")
     pose = rigid(values.get("transform_matrix"), where)
     return Camera(
         extrinsics=np.linalg.inv(pose @ OPENGL_FROM_OPENCV).astype(np.float64),
@@ -200,6 +219,9 @@ def _focal(
     focal, angle = number(values, key, where), number(values, angle_key, where)
     if focal is None and angle is not None and 0 < angle < math.pi:
         focal = side / 2 / math.tan(angle / 2)
-    if focal is not None and focal <= 0:
-        raise InputError(f"{where}: '{key}' is {focal:g}; a focal length is above 0")
+    if focal is not None and not is_lens(focal, side):
+        raise InputError(
+            f"{where}: '{key}' is {focal:g}, not a focal length in pixels: "
+            f"{NARROWEST:g} to {WIDEST:g} degrees can be drawn"
+        )
     return focal

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from styl3r_cli.commands.options import Number, SizeType, UserPath, quiet_option
+from styl3r_cli.commands.options import FILE, STDOUT, Number, SizeType, UserPath, quiet_option
 from styl3r_cli.console import Console
 from styl3r_cli.errors import UsageError
 from styl3r_cli.files import atomic_write
+from styl3r_cli.names import user_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,7 +60,7 @@ def command() -> None:
 
 
 @command.command("render", help=RENDER_HELP)
-@click.argument("scene", required=False, metavar="[SCENE]")
+@click.argument("scene", required=False, type=FILE, metavar="[SCENE]")
 @click.option(
     "--gaussians",
     type=ListOf(click.IntRange(min=1)),
@@ -108,9 +109,14 @@ def render_command(
 ) -> None:
     """Frames per second of the splat renderer."""
     from styl3r_cli import __version__
+    from styl3r_cli.commands.checks import check_outputs, check_suffix
     from styl3r_cli.splatting import timing
 
     console = Console(quiet)
+    read = [] if scene in (None, STDOUT) else [user_path(scene)]
+    if json_path is not None:  # where it takes no file, as in other commands, a scene may follow
+        check_suffix(json_path, ".json", "--json")
+    check_outputs([json_path] if json_path else [], read, prints=True)
     scenes, view = _scenes(scene, gaussians, console)
     cores = threads or tuple(sorted({1, timing.default_threads()}))
     cameras = [timing.camera_of(width, height, view) for width, height in sizes]

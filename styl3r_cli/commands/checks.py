@@ -8,25 +8,45 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from styl3r_cli.errors import OutputError, UsageError
+from styl3r_cli.files import STDOUT_CLOSED, stdout_is_closed
 from styl3r_cli.names import real_path
 
 
-def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Make sure that results can be written where they were asked for.
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], prints: bool = False) -> None:
+    """Make sure that results can be written where they were asked for, each in its own place.
+
+    Args:
+        outputs: files that will be written.
+        inputs: files that will be read.
+        prints: whether a report goes to standard output as well.
 
     Raises:
-        UsageError: a result would replace something that is read.
-        OutputError: a folder is missing, or may not be written to.
+        UsageError: a result would replace something that is read, or another result.
+        OutputError: a folder is missing, or may not be written to; standard output is closed.
     """
+    if prints:
+        check_printable()
     read = {real_path(path) for path in inputs}
+    taken: set[Path] = set()
     for path in outputs:
         target = real_path(path)
         if target in read:
             raise UsageError(f"{path} is also an input; results never replace what they come from")
+        if target in taken or (prints and _is_stdout(target)):
+            raise UsageError(f"{path} would be two results; give each a file of its own")
+        taken.add(target)
         try:
             _check_place(path, target)
         except OSError as error:
             raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _is_stdout(target: Path) -> bool:
+    """Whether standard output was redirected to that very file."""
+    try:
+        return target.is_file() and os.path.samestat(target.stat(), os.fstat(sys.stdout.fileno()))
+    except (OSError, ValueError):  # no file is open there
+        return False
 
 
 def _check_place(path: Path, target: Path) -> None:
@@ -41,6 +61,16 @@ def _check_place(path: Path, target: Path) -> None:
         raise OutputError(f"cannot write {path}: permission denied")
 
 
+def check_printable() -> None:
+    """Make sure that there is a standard output to print a report to.
+
+    Raises:
+        OutputError: it is closed.
+    """
+    if stdout_is_closed():
+        raise OutputError(STDOUT_CLOSED)
+
+
 def check_stdout(option: str) -> None:
     """Make sure that binary data can go to standard output and does not end on a terminal.
 
@@ -48,8 +78,7 @@ def check_stdout(option: str) -> None:
         OutputError: it is closed.
         UsageError: it is a terminal.
     """
-    if sys.stdout is None:
-        raise OutputError("cannot write standard output: it is closed")
+    check_printable()
     if sys.stdout.isatty():
         message = "standard output is a terminal; pipe it into a program or name a file"
         raise UsageError(f"{option}: {message}")

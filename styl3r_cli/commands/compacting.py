@@ -11,6 +11,7 @@ from styl3r_cli.commands.checks import check_outputs, check_stdout
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.commands.report import compaction_report, print_report
 from styl3r_cli.commands.scene_file import SceneFile, load
+from styl3r_cli.commands.written import as_written, broken_promise
 from styl3r_cli.compaction import Compaction, Compactor, everything, witnesses
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, UsageError
@@ -66,13 +67,16 @@ def compact_scene(request: CompactRequest) -> None:
     views = _views(request, scene, console)
     with console.stage("compact"):
         made, encoded = _compact(request, scene, views)
+        made = as_written(made, scene.gaussians, encoded, request.suffix, request.threads)
     with console.stage("write"):
         if request.path is None:
             write_stdout(encoded.data)
         else:
             with atomic_write(request.path) as temporary:
                 temporary.write_bytes(encoded.data)
-    for note in encoded.notes:
+    promised = request.count is None and request.size is None
+    broken = broken_promise(made, request.suffix, request.decibels) if promised else []
+    for note in [*encoded.notes, *broken]:
         console.note(note)
     report = _report(request, file, made, encoded, console)
     console.note(_summary(report))
@@ -88,7 +92,7 @@ def _check(request: CompactRequest) -> None:
         check_stdout("-o -")
     else:
         scene_suffix(request.path)
-        check_outputs([request.path], read)
+        check_outputs([request.path], read, prints=request.json)
 
 
 def _views(request: CompactRequest, scene: Scene, console: Console) -> list[Camera]:

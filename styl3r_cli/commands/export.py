@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from styl3r_cli.commands.checks import check_printable
 from styl3r_cli.commands.options import FileName, UserPath, quiet_option
 from styl3r_cli.console import Console
 from styl3r_cli.errors import UsageError
 from styl3r_cli.manifest import Manifest, sha256_of
+from styl3r_cli.names import real_path, user_path
 
 if TYPE_CHECKING:
     from styl3r_export.graphs_metadata import Provenance
@@ -99,6 +101,9 @@ def command(
     quiet: bool,
 ) -> None:
     """Turn a checkpoint into a model folder, and check it."""
+    if verify:
+        check_printable()
+    _keep_source(checkpoint, output)
     console = Console(quiet)
     from_folder = not Path(checkpoint).expanduser().is_file()
     if precision in TRACED or not from_folder:
@@ -119,6 +124,15 @@ def command(
             manifest = _quantise(source, output, precision, samples, verify, console)
     size = sum(entry.bytes for entry in manifest.files.values())
     console.note(f"{output}: {manifest.model}, {precision}, {size / 1e6:.1f} MB")
+
+
+def _keep_source(checkpoint: str, output: Path) -> None:
+    """Refuse to replace the model that another is made from."""
+    from styl3r_cli.graphs import BUNDLED
+
+    sources = {real_path(user_path(checkpoint)), real_path(BUNDLED / checkpoint)}
+    if real_path(output) in sources:
+        raise UsageError(f"{output} is also an input; results never replace what they come from")
 
 
 def _require(modules: tuple[str, ...]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 from styl3r_cli import __version__
 from styl3r_cli.commands.options import STDOUT
@@ -13,13 +12,14 @@ from styl3r_cli.commands.render_request import (
     RenderRequest,
     background_of,
     check,
+    check_frames,
     check_size,
     frame_names,
 )
+from styl3r_cli.commands.scene_file import load
 from styl3r_cli.commands.shots import Shots, plan_shots
 from styl3r_cli.console import Console
-from styl3r_cli.files import read_stdin
-from styl3r_cli.formats import Scene, read_scene
+from styl3r_cli.formats import Scene
 from styl3r_cli.frames import (
     Drawing,
     Look,
@@ -32,7 +32,6 @@ from styl3r_cli.frames import (
     write_picture,
 )
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.names import user_path
 from styl3r_cli.quality import SHARES
 
 SCENE_KEYS = ("generator", "model")  # of a scene's metadata, for the frames made of it
@@ -48,11 +47,14 @@ def film(request: RenderRequest, quiet: bool) -> None:
     drawing = Drawing(background_of(request), request.threads, request.antialias)
     check(request)
     with console.stage("scene"):
-        scene = _read(STDOUT if request.scene == STDOUT else user_path(request.scene), console)
-        other = _read(request.compare, console) if request.compare else None
+        scene = _read(request.scene, console)
+        other = _read(str(request.compare), console) if request.compare else None
+        if not len(scene.gaussians):
+            console.note(f"{request.scene}: no Gaussians in it: nothing is to be seen")
         shots = plan_shots(request, scene, console)
         first = shots.cameras[0]
         check_size(request, first.width, first.height)
+        check_frames(request, len(shots.cameras))
     if request.save_path:
         from styl3r_cli.cameras.camera_path import write_camera_path
 
@@ -69,8 +71,8 @@ def film(request: RenderRequest, quiet: bool) -> None:
         console.note(f"raw {pixels}, {width}x{first.height}, {shots.fps:g} frames per second")
 
 
-def _read(source: str | Path, console: Console) -> Scene:
-    scene = read_scene(source if isinstance(source, Path) else read_stdin())
+def _read(source: str, console: Console) -> Scene:
+    scene = load(source).scene
     for note in scene.notes:
         console.note(note)
     return scene

@@ -38,6 +38,7 @@ class StyleType(click.ParamType):
         """Split a weight off, if what follows the last "=" is a number."""
         if isinstance(value, WeightedStyle):
             return value
+        FILE.convert(value, param, ctx)
         path, separator, weight = str(value).rpartition("=")
         if separator and path and not user_path(value).exists():
             try:
@@ -106,6 +107,9 @@ class FileName(click.ParamType):
         if not str(value) or "\0" in str(value):
             self.fail("the file name is empty", param, ctx)
         return str(value)
+
+
+FILE = FileName()
 
 
 def apply(decorators: list[Callable[[Command], Command]]) -> Callable[[Command], Command]:
@@ -207,7 +211,12 @@ scene_options = apply(
         ),
         click.option("--all", "keep_all", is_flag=True, help="Keep every Gaussian: one a pixel."),
         click.option(
-            "--model", default="mini", show_default=True, metavar="NAME|DIR", help="The network."
+            "--model",
+            type=FILE,
+            default="mini",
+            show_default=True,
+            metavar="NAME|DIR",
+            help="The network.",
         ),
         click.option(
             "--device",

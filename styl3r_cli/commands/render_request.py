@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from styl3r_cli.commands.checks import check_outputs, check_stdout
+from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import OutputError, UsageError
 from styl3r_cli.frames import SURROUNDINGS, Background, Colour
@@ -132,6 +132,8 @@ def check(request: RenderRequest) -> None:
     """
     _check_kind(request)
     outputs = [request.save_path] if request.save_path else []
+    for path in outputs:  # a file of anything else is named by mistake, and would be lost
+        check_suffix(path, ".json", "--save-path")
     if request.output == STDOUT:
         check_stdout("-o -")
     else:
@@ -140,9 +142,28 @@ def check(request: RenderRequest) -> None:
             _make_folder(path.parent)
             path = numbered(path, 0)
         outputs.append(path)
-    read = [user_path(request.scene)] if request.scene != STDOUT else []
-    read += [path for path in (request.cameras, request.compare) if path]
-    check_outputs(outputs, read)
+    check_outputs(outputs, _inputs(request))
+
+
+def check_frames(request: RenderRequest, count: int) -> None:
+    """Refuse frames whose files would replace something, before the first is drawn.
+
+    Raises:
+        UsageError: one is an input or the file of cameras, or there is no place for a number.
+        OutputError: the place of one cannot be written to.
+    """
+    if not request.one_file:
+        others = [request.save_path] if request.save_path else []
+        check_outputs([*others, *frame_names(request.file, count)], _inputs(request))
+
+
+def _inputs(request: RenderRequest) -> list[Path]:
+    named = [request.cameras, request.compare]
+    if request.scene != STDOUT:
+        named.append(user_path(request.scene))
+    if request.path is not None:  # a movement's name is no file that is in the way
+        named.append(user_path(request.path))
+    return [path for path in named if path is not None]
 
 
 def _check_kind(request: RenderRequest) -> None:

@@ -75,6 +75,8 @@ def kept_line(made: Compaction) -> str:
     """The same, for people."""
     before, after = len(made.labels), len(made.gaussians)
     line = f"{after:,} of {before:,} Gaussians kept ({100 * after / before:.1f} %)"
+    if not made.decibels:  # of a format without Gaussians
+        return line
     if not math.isfinite(made.worst):
         return f"{line}: fewer would show"
     return f"{line}; {made.worst:.1f} dB at the worst of {len(made.cameras)} cameras"

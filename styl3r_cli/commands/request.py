@@ -14,6 +14,7 @@ from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.files import read_stdin
 from styl3r_cli.formats import scene_suffix
+from styl3r_cli.manifest import MANIFEST
 from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.names import real_path, user_path
 from styl3r_cli.painter import warm_up
@@ -66,6 +67,11 @@ class SceneRequest:
     def scene_path(self) -> Path | None:
         """Where the scene goes; None for standard output."""
         return None if self.output == STDOUT else user_path(self.output)
+
+    @property
+    def suffix(self) -> str:
+        """The scene's format."""
+        return ".ply" if self.scene_path is None else scene_suffix(self.scene_path)
 
 
 @dataclass(frozen=True)
@@ -190,12 +196,13 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
     read = [*photos, *(style.path for style in request.styles)]
     if request.cameras is not None:
         read.append(request.cameras)
+    read.append(user_path(request.model) / MANIFEST)
     if request.each:
         check_each(request)
     outputs = [path for one in one_by_one(request) for path in outputs_of(one)]
     if request.each and request.cameras_out:  # one file for all of them
         outputs.append(request.cameras_out)
-    check_outputs(outputs, read)
+    check_outputs(outputs, read, prints=request.json)
     for style in request.styles:
         if not style.path.exists():
             raise InputError(f"{style.path}: no such style picture")

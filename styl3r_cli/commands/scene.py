@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from styl3r_cli import __version__
 from styl3r_cli.cameras.framing import uncropped
@@ -24,12 +24,15 @@ from styl3r_cli.commands.request import Inputs, SceneRequest, load_inputs
 from styl3r_cli.console import Console
 from styl3r_cli.errors import PartialError
 from styl3r_cli.files import write_stdout
-from styl3r_cli.formats import encode_scene, write_scene
+from styl3r_cli.formats import Encoded, encode_scene, write_scene
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos import Photos
 from styl3r_cli.pipeline import Scene
 from styl3r_cli.quality import FITTED
+
+if TYPE_CHECKING:  # it brings numba
+    from styl3r_cli.compaction import Compaction
 
 # The path and the frame of `--video`; `styl3r render` has options for both.
 VIDEO_PATH = "wobble"
@@ -79,14 +82,15 @@ def _make_one(
         gaussians, repairs = painter(pictures, weights, request.strength)
     if str(repairs):
         console.note(f"Gaussians repaired: {repairs}")
-    recovered, compaction = painter.recovered, None
+    recovered, compaction, whole = painter.recovered, None, gaussians
     if request.decibels is not None:
         with console.stage("compact"):
             compaction = painter.compact(gaussians, request.decibels)
-        console.tell(kept_line(compaction))
         gaussians = compaction.gaussians
     with console.stage("write"):
-        _write(request, inputs, gaussians, recovered, console)
+        encoded = _write(request, inputs, gaussians, recovered, console)
+        if compaction is not None:
+            compaction = _measured(request, compaction, whole, encoded, console)
     if request.video:
         _film(request, gaussians, recovered, console)
     if request.preview:
@@ -98,6 +102,20 @@ def _make_one(
         timings = {name: took - earlier.get(name, 0.0) for name, took in timings.items()}
     report = scene_report(request, inputs, gaussians, repairs, recovered, console.notes, timings)
     return report | {"compaction": compaction and compaction_report(compaction)}
+
+
+def _measured(
+    request: SceneRequest, made: Compaction, whole: Gaussians, encoded: Encoded, console: Console
+) -> Compaction:
+    """What a compaction is worth in the file that was written, told."""
+    from styl3r_cli.commands.written import as_written, broken_promise
+
+    assert request.decibels is not None
+    stored = as_written(made, whole, encoded, request.suffix, request.threads)
+    for note in broken_promise(stored, request.suffix, request.decibels):
+        console.note(note)
+    console.tell(kept_line(stored))
+    return stored
 
 
 def _recover(scene: Scene, photos: Photos, console: Console) -> Recovered:
@@ -114,8 +132,8 @@ def _write(
     gaussians: Gaussians,
     recovered: Recovered,
     console: Console,
-) -> None:
-    """The scene with its cameras, and the camera file."""
+) -> Encoded:
+    """The scene with its cameras, and the camera file; returns the scene's file."""
     metadata = {
         "generator": f"styl3r {__version__}",
         "model": inputs.stylizer.model.name,
@@ -137,6 +155,7 @@ def _write(
         write_transforms(
             request.cameras_out, cameras, [_seen_from(folder, path) for path in inputs.photos.paths]
         )
+    return encoded
 
 
 def _seen_from(folder: Path, photo: Path) -> str:

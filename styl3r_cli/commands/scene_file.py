@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import InputError
-from styl3r_cli.files import read_stdin
+from styl3r_cli.files import read_file, read_stdin
 from styl3r_cli.formats import Scene, read_scene, recognise, scene_suffix
 from styl3r_cli.names import user_path
+from styl3r_cli.pipes import is_pipe
 
 
 @dataclass(frozen=True)
@@ -44,9 +46,20 @@ def load(source: str, kind: str | None = None) -> SceneFile:
         suffix = suffix or recognise(data) or ""
         return SceneFile(read_scene(data, suffix or None), suffix, len(data))
     path = user_path(source)
+    if is_pipe(path):  # its name, /dev/fd/63 say, tells nothing
+        data = _through_pipe(path)
+        suffix = suffix or recognise(data) or ""
+        return SceneFile(read_scene(data, suffix or None, str(path)), suffix, len(data))
     suffix = suffix or scene_suffix(path)
     scene = read_scene(path, suffix)
     try:
         return SceneFile(scene, suffix, path.stat().st_size)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _through_pipe(path: Path) -> bytes:
+    try:
+        return read_file(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from styl3r_cli.commands.bench import ListOf
-from styl3r_cli.commands.options import Number, UserPath, quiet_option
+from styl3r_cli.commands.options import FILE, Number, UserPath, quiet_option
 from styl3r_cli.tradeoff.points import COLOURS, DRAWINGS
 
 PRECISIONS = ("w8", "w4", "int8", "int8-static")
@@ -45,11 +45,19 @@ gives no finite scene, is shown as rejected and never recommended.
 @click.option("--output", "-o", required=True, type=UserPath(), metavar="REPORT", help="A folder.")
 @click.option(
     "--holdout",
+    type=FILE,
     multiple=True,
     metavar="FOLDER|PHOTO",
     help="Photos of the same scene that the network does not get, to compare with as truth.",
 )
-@click.option("--model", default="mini", show_default=True, metavar="NAME|DIR", help="The network.")
+@click.option(
+    "--model",
+    type=FILE,
+    default="mini",
+    show_default=True,
+    metavar="NAME|DIR",
+    help="The network.",
+)
 @click.option(
     "--precisions",
     type=ListOf(click.Choice(["fp32", "fp16", *PRECISIONS])),

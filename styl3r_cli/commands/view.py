@@ -66,10 +66,12 @@ def command(
     if find_spec("viser") is None:
         raise UsageError("view needs viser; install it with: pip install 'styl3r[view]'")
     from styl3r_cli.cameras.stored import cameras_from_metadata
+    from styl3r_cli.commands.checks import check_printable
     from styl3r_cli.commands.scene_file import load
     from styl3r_cli.console import Console
     from styl3r_cli.viewer.server import serving
 
+    check_printable()
     console = Console(quiet)
     address = find_address(host, port)
     sources = [source, str(compare)] if compare else [source]

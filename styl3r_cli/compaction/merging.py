@@ -24,7 +24,9 @@ from styl3r_cli.splatting.ewa import to_matrix, unit_quaternion
 # often one surface from two views, with no gap to close. Measured, 0.04 to 0.7 of scenes.
 WIDENING, GROWTH = 1.0, 0.3
 JACOBI_SWEEPS = 6  # a 3x3 matrix is diagonal to rounding after 4 or 5
-SMALLEST_VARIANCE = 1e-20  # the square of the smallest scale that formats keep
+# What float32 holds: whatever the unit of length, a merged Gaussian is finite and has a size.
+SMALLEST_SCALE = float(np.finfo(np.float32).tiny)
+LARGEST_SCALE = float(np.finfo(np.float32).max)
 
 
 def merge(
@@ -73,7 +75,7 @@ def merge(
 def _merge(begin, end, order, starts, ends, weights, pixel_sizes, widening, means, scales,
            rotations, opacities, colours, new_means, new_scales, new_rotations, new_opacities,
            new_colours):  # fmt: skip
-    mean, colour = np.empty(3), np.empty(3)
+    mean, colour, deviations = np.empty(3), np.empty(3), np.empty(3)
     moments, axes = np.empty((3, 3)), np.empty((3, 3))
     for k in range(begin, end):
         members = order[starts[k] : ends[k]]
@@ -87,11 +89,12 @@ def _merge(begin, end, order, starts, ends, weights, pixel_sizes, widening, mean
         area = _moments(members, weights, pixel_sizes, means, scales, rotations, opacities, mean,
                         wider, moments)  # fmt: skip
         diagonalise(moments, axes)
-        sides = 0.0
         for a in range(3):
             new_means[k, a], new_colours[k, a] = mean[a], colour[a]
-            new_scales[k, a] = math.sqrt(max(moments[a, a], SMALLEST_VARIANCE))
-        sides = _face(new_scales[k, 0], new_scales[k, 1], new_scales[k, 2], pixel)
+            deviation = math.sqrt(max(moments[a, a], 0.0))
+            deviations[a] = min(max(deviation, SMALLEST_SCALE), LARGEST_SCALE)
+            new_scales[k, a] = deviations[a]
+        sides = _face(deviations[0], deviations[1], deviations[2], pixel)
         new_opacities[k] = min(area / sides, ALPHA_MAX)
         w, x, y, z = quaternion(axes)
         new_rotations[k, 0], new_rotations[k, 1] = w, x
@@ -124,7 +127,8 @@ def _moments(members, weights, pixel_sizes, means, scales, rotations, opacities,
     moments[:] = 0
     for i in members:
         total += weights[i]
-        s0, s1, s2 = scales[i, 0], scales[i, 1], scales[i, 2]
+        s0 = np.float64(scales[i, 0])  # in float32, squares overflow from 1e19 on
+        s1, s2 = np.float64(scales[i, 1]), np.float64(scales[i, 2])
         area += opacities[i] * _face(s0, s1, s2, pixel_sizes[i])
         (qw, qx, qy, qz), _ = unit_quaternion(i, rotations)
         r = to_matrix(qw, qx, qy, qz)

@@ -120,12 +120,10 @@ class Compactor:
         labels = np.full(len(known.scene), DROPPED, np.int64)
         labels[known.seen] = np.arange(len(known.seen))
         left = known.gaussians.with_colours(colours[known.seen])
-        traces = look(left, known.cameras, self.threads)
-        errors = [
-            squared_errors(target, each.picture, each.through)
-            for target, each in zip(known.targets(colours), traces, strict=True)
-        ]
-        return Compaction(left, labels, known.cameras, decibels(errors))
+        targets = known.targets(colours)
+        return Compaction(
+            left, labels, known.cameras, _decibels(targets, left, known.cameras, self.threads)
+        )
 
     def _shown(self, colours: FloatArray) -> FloatArray:
         """Colours of what is seen; the very ones of the survey, if they are the scene's."""
@@ -200,6 +198,22 @@ def keep_decibels(
 ) -> Compaction:
     """As few Gaussians as keep `target` decibels; see `Compactor.keep_decibels`."""
     return Compactor(scene, cameras, threads).keep_decibels(scene.colours, target)
+
+
+def measured(
+    whole: Gaussians, other: Gaussians, cameras: Sequence[Camera], threads: int | None = None
+) -> list[float]:
+    """PSNR of a scene against the whole one at each witness, as compactions are measured."""
+    targets = [Target.of(each) for each in look(whole, cameras, threads)]
+    return _decibels(targets, other, cameras, threads)
+
+
+def _decibels(
+    targets: Sequence[Target], scene: Gaussians, cameras: Sequence[Camera], threads: int | None
+) -> list[float]:
+    traces = look(scene, cameras, threads)
+    pairs = zip(targets, traces, strict=True)
+    return decibels([squared_errors(target, each.picture, each.through) for target, each in pairs])
 
 
 def _error(targets: Sequence[Target], decibels: float) -> float:

@@ -70,12 +70,13 @@ def recognise(data: bytes) -> str | None:
     return ".splat" if _module(".splat").recognised(data) else None
 
 
-def read_scene(source: Path | bytes, suffix: str | None = None) -> Scene:
+def read_scene(source: Path | bytes, suffix: str | None = None, name: str = "-") -> Scene:
     """Read a scene from a file or from the bytes of one.
 
     Args:
         source: a path, whose suffix says its format, or the bytes of a file of any format.
         suffix: the format, where it is known better.
+        name: what messages call bytes.
 
     Raises:
         InputError: the file is missing or broken, or the bytes are of no known format.
@@ -84,8 +85,8 @@ def read_scene(source: Path | bytes, suffix: str | None = None) -> Scene:
     if isinstance(source, bytes):
         suffix = suffix or recognise(source)
         if suffix is None:
-            raise InputError(f"-: not a scene in a known format ({', '.join(MODULES)})")
-        return _module(suffix).decode(source, "-")
+            raise InputError(f"{name}: not a scene in a known format ({', '.join(MODULES)})")
+        return _module(suffix).decode(source, name)
     suffix = suffix or scene_suffix(source)
     try:
         data = read_file(source)

@@ -24,6 +24,7 @@ from styl3r_cli.formats.values import (
     in_float32,
     left_out,
     thickened,
+    thinned,
     to_harmonics,
     turned,
     unit,
@@ -35,6 +36,7 @@ LEAST_FRACTION_BITS = 12  # of every other writer: a quarter of a millimetre whe
 STEPS_A_SCALE = 32  # small scenes get more bits: a median Gaussian is as thick as so many steps
 MEAN_BITS = 24  # of a coordinate, with its sign
 LOG_STEPS, SMALLEST_LOG = 16, -10.0  # of a scale's natural logarithm
+LARGEST_LOG = SMALLEST_LOG + 255 / LOG_STEPS
 COLOUR_GAIN = 0.15  # of a harmonic, around the middle of a byte
 TURN_BITS = 9  # of a part of a rotation, beside its sign
 GZIP_LEVEL = 9
@@ -65,7 +67,11 @@ def encode(gaussians: Gaussians, metadata: dict[str, str]) -> Encoded:
         levels.astype(np.uint8).tobytes(),
         _pack_turns(unit(kept.rotations)).tobytes(),
     ]
-    notes += [LOSS.format(step=1 << bits), *thickened(kept.scales, float(np.exp(SMALLEST_LOG)))]
+    notes += [
+        LOSS.format(step=1 << bits),
+        *thickened(kept.scales, float(np.exp(SMALLEST_LOG))),
+        *thinned(kept.scales, float(np.exp(LARGEST_LOG))),
+    ]
     reach = 0.5 / COLOUR_GAIN * SH_C0
     notes += [*clipped(kept.colours, 0.5 - reach, 0.5 + reach), *left_out(metadata, ".spz")]
     data = gzip.compress(b"".join(parts), GZIP_LEVEL, mtime=0)  # no time: the same bytes again

@@ -90,6 +90,12 @@ def thickened(scales: NDArray[np.floating], least: float) -> list[str]:
     return [f"{flat} Gaussians were flatter than {least:.3g} and made so thick"] if flat else []
 
 
+def thinned(scales: NDArray[np.floating], most: float) -> list[str]:
+    """A note on scales that are above what a format can store."""
+    large = int((scales > most).any(axis=1).sum())
+    return [f"{large} Gaussians were thicker than {most:.4g} and made so thin"] if large else []
+
+
 def logit(opacities: NDArray[np.float32]) -> NDArray[np.float64]:
     """The inverse of the sigmoid, finite at both ends."""
     opacity = opacities.astype(np.float64)

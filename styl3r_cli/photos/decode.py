@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ RAW_SUFFIXES = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", 
 WHITE = (255, 255, 255)  # what transparent pixels are put on: paper, as picture viewers print them
 MAX_8_BIT, MAX_16_BIT = 255, 65535
 ORIENTATION = 0x0112  # EXIF tag
+BITS_PER_SAMPLE, PHOTOMETRIC_INTERPRETATION, WHITE_IS_ZERO = 258, 262, 0  # of TIFF
 UPRIGHT = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -193,20 +195,26 @@ def _to_srgb(image: Image.Image, notes: list[str]) -> Image.Image:
 
 
 def _eight_bits(image: Image.Image) -> NDArray[np.uint8]:
-    """16-bit grey (modes I;16, I;16B, I) to 8 bits, rounded; Pillow's own conversion clips."""
-    values = np.asarray(image)
-    if values.min() < 0 or values.max() > MAX_16_BIT:
-        raise ValueError("32-bit integer pixels; save it with 8 or 16 bits a channel")
-    if image.format == "TIFF" and image.mode != "I" and _white_is_zero(image):
-        values = MAX_16_BIT - values
-    scaled = values.astype(np.uint32) * MAX_8_BIT + MAX_16_BIT // 2
-    return (scaled // MAX_16_BIT).astype(np.uint8)
+    """16-bit grey (modes I;16, I;16B, I) to 8 bits, rounded; Pillow's own conversion clips.
+
+    In a TIFF, mode I is 32 bits or signed: whatever its values are, nothing says which one is
+    white. Elsewhere it is how Pillow gives 16 bits, scaled to all of them.
+    """
+    values, most = np.asarray(image), MAX_16_BIT
+    if image.format == "TIFF":
+        if image.mode == "I":
+            raise ValueError("32-bit or signed pixels; save it with 8 or 16 bits a channel")
+        most = (1 << _tag(image, BITS_PER_SAMPLE, (16,))[0]) - 1  # 12 bits come as they are
+        if _tag(image, PHOTOMETRIC_INTERPRETATION, None) == WHITE_IS_ZERO:
+            values = most - values
+    if values.min() < 0 or values.max() > most:
+        raise ValueError(f"pixels beyond 0 to {most}; save it with 8 or 16 bits a channel")
+    return ((values.astype(np.uint32) * MAX_8_BIT + most // 2) // most).astype(np.uint8)
 
 
-def _white_is_zero(image: Image.Image) -> bool:
-    photometric_interpretation = 262
-    tags = getattr(image, "tag_v2", {})
-    return tags.get(photometric_interpretation) == 0
+def _tag(image: Image.Image, tag: int, default: Any) -> Any:
+    """A field of a TIFF."""
+    return getattr(image, "tag_v2", {}).get(tag, default)
 
 
 def _apply_profile(image: Image.Image, profile: bytes, notes: list[str]) -> Image.Image | None:

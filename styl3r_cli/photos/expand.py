@@ -10,6 +10,7 @@ from pathlib import Path
 
 from styl3r_cli.errors import InputError
 from styl3r_cli.names import user_path
+from styl3r_cli.pipes import is_pipe
 
 JPEG = (".jpg", ".jpeg", ".jpe")
 HEIF = (".heic", ".heif", ".hif", ".avif")
@@ -109,6 +110,8 @@ def name_some(names: Iterable[str]) -> str:
 
 
 def _not_found(argument: str, path: Path) -> str:
+    if is_pipe(path):
+        return f"{argument}: a pipe; photos are files (a style may come through a pipe)"
     if path.exists():
         return f"{argument}: neither a file nor a folder"
     if path.is_symlink():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -13,6 +14,8 @@ from styl3r_cli.errors import InputError
 from styl3r_cli.photos.expand import name_some
 from styl3r_cli.photos.focal import (
     ASSUMED_FOCAL,
+    NARROWEST_FOV,
+    WIDEST_FOV,
     equivalent_from_focal,
     focal_from_equivalent,
     focal_from_fov,
@@ -85,6 +88,13 @@ def _scaled_camera(camera: Camera, width: int, height: int, name: str) -> Camera
             f"{name}: the photo is {width}x{height}, but its camera is for "
             f"{camera.width}x{camera.height}; cameras must be of the photos as shown"
         )
+    for focal, side in ((camera.fx, camera.width), (camera.fy, camera.height)):
+        degrees = math.degrees(2 * math.atan(side / 2 / focal))
+        if not NARROWEST_FOV <= degrees <= WIDEST_FOV:
+            raise InputError(
+                f"{name}: its camera sees {degrees:.3g} degrees; the network takes "
+                f"{NARROWEST_FOV:g} to {WIDEST_FOV:g}"
+            )
     return camera.resized(width, height)
 
 

@@ -15,11 +15,13 @@ import click
 import numpy as np
 
 from styl3r_cli import __version__
+from styl3r_cli.commands.checks import check_outputs
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, OutputError, UsageError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, to_picture
 from styl3r_cli.photos import expand, load_photos
+from styl3r_cli.pipes import is_pipe
 from styl3r_cli.sessions import available_cores
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.page import make_page
@@ -29,6 +31,7 @@ from styl3r_cli.tradeoff.rows import Advice, Row, advise, collect, flags
 from styl3r_cli.tradeoff.tables import plain, to_csv, to_text
 
 MOST_VIEWS = 8
+PAGE, CSV, JSON = "index.html", "tradeoff.csv", "tradeoff.json"
 WORK = "work"  # the folder in the report's that keeps what a resumed run needs
 
 
@@ -69,6 +72,8 @@ def run(request: Request) -> None:
         work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot make the folder {work}: {error.strerror}") from error
+    results = [request.output / name for name in (PAGE, CSV, JSON)]
+    check_outputs(results, [*photos, *request.styles], prints=True)
     folders = model_folders(
         request.model, request.precisions, work, photos, request.styles, console
     )
@@ -112,6 +117,8 @@ def check(request: Request, photos: Sequence[Path]) -> None:
     for style in request.styles:
         if not style.exists():
             raise InputError(f"{style}: no such style picture")
+        if is_pipe(style):  # each measurement reads it anew
+            raise InputError(f"{style}: a pipe; a trade-off takes styles from files")
 
 
 def make_dials(request: Request, photos: int, precisions: Sequence[str]) -> Dials:
@@ -163,14 +170,14 @@ def write(request: Request, bench: Bench, rows: Sequence[Row]) -> None:
     ]
     pictures = [_worst_view(bench, row, rows[0]) for row in rows]
     title = f"Speed for accuracy: {bench.photos[0].parent.name}"
-    _save(request.output / "index.html", make_page(title, about, rows, advice, pictures))
-    _save(request.output / "tradeoff.csv", to_csv(rows))
+    _save(request.output / PAGE, make_page(title, about, rows, advice, pictures))
+    _save(request.output / CSV, to_csv(rows))
     report = {
         "about": about,
         "recommended": [_recommended(each, reference) for each in advice],
         "points": [plain(row, reference) for row in rows],
     }
-    _save(request.output / "tradeoff.json", json.dumps(report, indent=2) + "\n")
+    _save(request.output / JSON, json.dumps(report, indent=2) + "\n")
 
 
 def _recommended(advice: Advice, reference: Point) -> dict[str, Any]:

@@ -86,6 +86,13 @@ def test_a_cut_and_a_missing_file_are_noticed(folder: Path) -> None:
         ({"files": {}}, "does not list the two graphs"),
         ({"files": []}, "missing or of the wrong kind"),
         ({"files": {STRUCTURE: {"bytes": 1}}}, "missing or of the wrong kind"),
+        ({"files": {STRUCTURE: {"bytes": "1", "sha256": "0"}}}, "'bytes' is no int"),
+        ({"files": {STRUCTURE: {"bytes": True, "sha256": "0"}}}, "'bytes' is no int"),
+        ({"files": {STRUCTURE: {"bytes": 1, "sha256": 0}}}, "'sha256' is no str"),
+        ({"model": ["mini"]}, "'model' is no str"),
+        ({"model_version": 3}, "'model_version' is no str"),
+        ({"precision": None}, "'precision' is no str"),
+        ({"weights_id": {}}, "'weights_id' is no str"),
     ],
 )
 def test_a_damaged_manifest_is_told_in_one_line(

@@ -74,7 +74,8 @@ def scene(tmp_path: Path) -> Path:
         ("$S man >/dev/full", 6, "standard output: No space left"),
         ("$S info s.ply --json --no-sizes >/dev/full", 6, "standard output: No space left"),
         ("mkdir g; cd g; rmdir ../g; $S convert ../s.ply x.ply", 6, "x.ply: No such file"),
-        ("$S info s.ply --no-sizes <&- >&-", 0, ""),
+        ("$S info s.ply --no-sizes <&- >&-", 6, "standard output: it is closed"),
+        ("$S info s.ply --no-sizes <&- >/dev/null", 0, ""),
         ("$S info gone.ply <&- >&- 2>&-", 3, ""),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -291,12 +292,21 @@ def test_a_graph_that_differs_is_not_published(
     assert list(tmp_path.iterdir()) == []
 
 
+def write_earlier(folder: Path) -> str:
+    """A folder as an earlier export left it; returns its manifest."""
+    folder.mkdir()
+    for name in (manifests.STRUCTURE, manifests.APPEARANCE, "structure.onnx.data"):
+        (folder / name).write_text("of the earlier export")
+    earlier = manifests.Manifest("mini", "0", "abc", "fp32", manifests.describe_files(folder))
+    (folder / manifests.MANIFEST).write_text(earlier.to_json())
+    return earlier.to_json()
+
+
 def test_an_interrupted_export_leaves_nothing_and_keeps_the_earlier_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "model"
-    folder.mkdir()
-    (folder / manifests.MANIFEST).write_text("earlier")
+    earlier = write_earlier(folder)
 
     def write(_: Styl3r, target: Path, *__: object) -> manifests.Manifest:
         (target / "half").write_text("written")
@@ -306,7 +316,7 @@ def test_an_interrupted_export_leaves_nothing_and_keeps_the_earlier_one(
     with pytest.raises(KeyboardInterrupt):
         export_graphs(small_model(), folder, cases=())
     assert [p.name for p in tmp_path.iterdir()] == ["model"]
-    assert (folder / manifests.MANIFEST).read_text() == "earlier"
+    assert (folder / manifests.MANIFEST).read_text() == earlier
 
 
 @pytest.mark.slow
@@ -314,9 +324,7 @@ def test_an_earlier_export_is_replaced_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, halved: Path
 ) -> None:
     folder = tmp_path / "model"
-    folder.mkdir()
-    (folder / manifests.MANIFEST).write_text("earlier")
-    (folder / "structure.onnx.data").write_text("of the earlier export")
+    write_earlier(folder)
 
     def write(_: Styl3r, target: Path, *__: object) -> manifests.Manifest:
         (target / "new").write_text("new")
@@ -338,6 +346,23 @@ def test_folders_in_use_are_refused(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match=message):
             check_target(folder)
     check_target(tmp_path / "new")
+    page = tmp_path / "page"  # web pages have a manifest.json, too; and all in a folder would go
+    page.mkdir()
+    (page / manifests.MANIFEST).write_text('{"name": "a page"}')
+    with pytest.raises(OutputError, match="holds something else"):
+        check_target(page)
+
+
+def test_a_folder_that_also_holds_something_else_is_refused(halved: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "model"
+    shutil.copytree(halved, folder)
+    check_target(folder)
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"holds something else \(notes.txt\)"):
+        check_target(folder)
+
+
+def test_empty_folders_are_taken(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     check_target(tmp_path / "empty")
 

@@ -181,6 +181,17 @@ def test_quantised_models_and_folders_in_use_are_refused(
         convert_folder(source, tmp_path / "used", "w8", samples)
 
 
+def test_a_model_is_not_replaced_by_what_is_made_from_it(
+    source: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "link").symlink_to(source)
+    before = manifests.read_manifest(source)
+    for target in (source, tmp_path / "link", f"{source}/../{source.name}"):
+        assert main.run(["export", str(source), "-o", str(target), "--precision", "w8"]) == 2
+        assert "is also an input" in capfd.readouterr().err
+    assert manifests.read_manifest(source) == before
+
+
 def test_the_command_quantises_and_tells(
     source: Path, photos: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -74,8 +74,9 @@ def scenes() -> None:
     )
     put("ply", "ascii.ply", (ascii_ply + "end_header\n" + "1 " * 14 + "\n").encode())
     put("spz-body", "body", gzip.decompress((CORPUS / "spz/scene.spz").read_bytes()))
-    meta = zipfile.ZipFile(CORPUS / "sog/scene.sog").read("meta.json")
-    put("sog-meta", "meta.json", meta)
+    bundle = zipfile.ZipFile(CORPUS / "sog/scene.sog")
+    put("sog-meta", "meta.json", bundle.read("meta.json"))
+    put("sog-picture", "sh0.webp", bundle.read("sh0.webp"))
     glb = (CORPUS / "glb/scene.glb").read_bytes()
     put("glb-json", "scene.json", glb[20 : 20 + struct.unpack_from("<I", glb, 12)[0]])
 

@@ -95,14 +95,19 @@ def good(name: str) -> bytes:
 
 
 @cache
-def sog_bundle() -> Bundle:
-    """A good scene."""
-    return Bundle(good("sog"), "meta.json")
+def sog_bundle(member: str) -> Bundle:
+    """A good scene, of which one member can be replaced."""
+    return Bundle(good("sog"), member)
 
 
 def sog_meta(data: bytes) -> None:
     """meta.json in a bundle whose pictures and checksums are right."""
-    SOG.read(sog_bundle().having(data))
+    SOG.read(sog_bundle("meta.json").having(data))
+
+
+def sog_picture(data: bytes) -> None:
+    """Colours and opacities as a picture of any kind and size, behind a checksum that is right."""
+    SOG.read(sog_bundle("sh0.webp").having(data))
 
 
 def glb_json(data: bytes) -> None:
@@ -174,6 +179,7 @@ READERS = {
     "spz-body": Reader(spz_body),
     "sog": SOG,
     "sog-meta": Reader(sog_meta),
+    "sog-picture": Reader(sog_picture),
     "glb": GLB,
     "glb-json": Reader(glb_json),
     "transforms": Reader(lambda data: void(read_transforms(data))),

@@ -172,16 +172,26 @@ def check_target(folder: Path) -> None:
     """Make sure that an export may go to a folder.
 
     Raises:
-        OutputError: it is a file, its parent does not exist, or it holds something else.
+        OutputError: it is a file, its parent does not exist, or it holds something else: all that
+            is in it goes.
     """
     if folder.is_dir():
-        if any(folder.iterdir()) and not (folder / MANIFEST).is_file():
-            message = f"cannot write {folder}: the folder holds something else"
+        others = {path.name for path in folder.iterdir()} - _exported(folder)
+        if others:
+            message = f"cannot write {folder}: the folder holds something else ({min(others)})"
             raise OutputError(f"{message}; name a new or an empty one")
     elif folder.exists():
         raise OutputError(f"cannot write {folder}: it is a file; name a folder")
     elif not folder.absolute().parent.is_dir():
         raise OutputError(f"cannot write {folder}: {folder.parent} does not exist")
+
+
+def _exported(folder: Path) -> set[str]:
+    """The names of what an export wrote into a folder; other programs have manifests, too."""
+    try:
+        return {MANIFEST, *manifests.read_manifest(folder).files}
+    except ModelError:
+        return set()
 
 
 def publish(temporary: Path, folder: Path) -> None:

@@ -135,7 +135,7 @@ MIRRORED = np.diag([-1.0, 1, 1, 1]).tolist()
         (file(frame([[float("nan")] * 4] * 4)), "not a 4x4 matrix"),
         (file(frame(np.ones((4, 4)).tolist())), "last row"),
         (file(frame(), fl_x="wide"), "'fl_x' is 'wide', not a number"),
-        (file(frame(), fl_x=-5.0), "'fl_x' is -5; a focal length is above 0"),
+        (file(frame(), fl_x=-5.0), "'fl_x' is -5, not a focal length"),
         (file(frame(), w=0), "not a picture's size"),
         (file(frame(), w=None), "no 'w' and 'h'"),
         (file(frame(), fl_x=None, fl_y=None), "no focal length"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -193,6 +193,21 @@ def test_colours_that_are_clipped_are_counted() -> None:
     np.testing.assert_allclose(
         read_scene(encode_scene(bright, {}, ".spz").data).gaussians.colours, colours, atol=0.004
     )
+
+
+def test_scales_that_are_clipped_are_counted() -> None:
+    """A byte of .spz ends at 379 units; what other formats store is as large as before."""
+    scene = scene_of(10)
+    scales = scene.scales.copy()
+    scales[:3], scales[3] = 1e4, 378
+    large = replace(scene, scales=scales)
+    for suffix in (".ply", ".compressed.ply", ".splat", ".sog", ".glb", ".spz"):
+        encoded = encode_scene(large, {}, suffix)
+        found = np.sort(read_scene(encoded.data, suffix).gaussians.scales.max(axis=1))
+        clipped = suffix == ".spz"
+        assert ("3 Gaussians were thicker than 379 and made so thin" in encoded.notes) is clipped
+        np.testing.assert_allclose(found[-3:], 379 if clipped else 1e4, rtol=0.05)
+        np.testing.assert_allclose(found[-4], 378, rtol=0.05)
 
 
 def test_the_longest_suffix_wins() -> None:

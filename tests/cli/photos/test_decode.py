@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import sys
 from pathlib import Path
 
@@ -226,6 +227,26 @@ def test_decompression_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_float_and_32_bit_pictures_are_refused_with_advice(tmp_path: Path) -> None:
     Image.fromarray(np.ones((8, 8), np.float32)).save(tmp_path / "f.tif")
     Image.fromarray(np.full((8, 8), 10**6, np.int32)).save(tmp_path / "i.tif")
-    for name in ("f.tif", "i.tif"):
+    # Nothing says what white is: 248 would be nearly black of 16 bits, and quite of 32.
+    Image.fromarray(np.full((8, 8), 248, np.int32)).save(tmp_path / "small.tif")
+    Image.fromarray(np.full((8, 8), 248, np.float32)).save(tmp_path / "large.tif")
+    for name in ("f.tif", "i.tif", "small.tif", "large.tif"):
         with pytest.raises(InputError, match="8 or 16 bits"):
             decode(tmp_path / name)
+
+
+def test_16_bit_greymaps_have_a_white_of_their_own(tmp_path: Path) -> None:
+    values = np.array([[0, 500, 1000]], ">u2")
+    (tmp_path / "a.pgm").write_bytes(b"P5 3 1 1000\n" + values.tobytes())
+    assert np.asarray(decode(tmp_path / "a.pgm").image)[0, :, 0].tolist() == [0, 128, 255]
+
+
+def test_12_bit_grey_is_scaled(tmp_path: Path) -> None:
+    """Two pixels in three bytes, as scanners and cameras for science pack them."""
+    entries = [(256, 2), (257, 1), (258, 12), (259, 1), (262, 1), (273, 122), (277, 1), (278, 1)]
+    entries += [(279, 3)]
+    table = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in entries)
+    head = struct.pack("<2sHIH", b"II", 42, 8, len(entries))
+    file = (head + table + bytes(4)).ljust(122, b"\0") + bytes([0xFF, 0xF8, 0x00])
+    (tmp_path / "a.tif").write_bytes(file)
+    assert np.asarray(decode(tmp_path / "a.tif").image)[0, :, 0].tolist() == [255, 128]
