@@ -98,9 +98,7 @@ def test_a_view_without_a_camera_stays_as_it_is(scene: Scene, recovered: Recover
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0])
-def test_impossible_points_change_nothing(
-    scene: Scene, recovered: Recovered, value: float
-) -> None:
+def test_impossible_points_change_nothing(scene: Scene, recovered: Recovered, value: float) -> None:
     scene.means[0, 5, 6] = value
     after = without_gaps(scene, recovered).scales
     assert not np.isnan(after).any()
