@@ -108,6 +108,19 @@ class FileName(click.ParamType):
         return str(value)
 
 
+class PathName(FileName):
+    """A camera path by name, or a file."""
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names, and what the shell finds."""
+        from styl3r_cli.cameras.paths import PATHS
+
+        names = [CompletionItem(n, help=PATHS[n]) for n in PATHS if n.startswith(incomplete)]
+        return [*names, CompletionItem(incomplete, type="file")]
+
+
 def apply(decorators: list[Callable[[Command], Command]]) -> Callable[[Command], Command]:
     """Several decorators as one, in the order in which --help lists them."""
 
