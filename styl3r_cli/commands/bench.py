@@ -31,6 +31,7 @@ Frames per second of the splat renderer, by Gaussians, frame size and threads.
 \b
   styl3r bench render
   styl3r bench render scene.ply --sizes 256,640x480 --threads 1,2 --json times.json
+  styl3r bench render --profile --twin-seconds 0
 
 Without SCENE, a scene that is the same on every machine is drawn. Repeats of all cases are
 interleaved and their medians printed. Where the extra 'export' is installed, the same formula
@@ -94,6 +95,7 @@ def command() -> None:
 @click.option(
     "--first-frame", is_flag=True, help="Also the first frame of a process without compiled code."
 )
+@click.option("--profile", is_flag=True, help="Also where the time of each frame goes.")
 @click.option("--json", "json_path", type=UserPath(), metavar="OUT.json", help="The same as JSON.")
 @quiet_option
 def render_command(
@@ -104,6 +106,7 @@ def render_command(
     repeats: int,
     twin_seconds: float,
     first_frame: bool,
+    profile: bool,
     json_path: Path | None,
     quiet: bool,
 ) -> None:
@@ -111,6 +114,7 @@ def render_command(
     from styl3r_cli import __version__
     from styl3r_cli.commands.checks import check_outputs, check_suffix
     from styl3r_cli.splatting import timing
+    from styl3r_cli.splatting.profiling import stage_seconds
 
     console = Console(quiet)
     read = [] if scene in (None, STDOUT) else [user_path(scene)]
@@ -125,13 +129,21 @@ def render_command(
     total = repeats * len(scenes) * len(cameras) * len(cores)
     with console.stage("frames", total) as done:
         cases = timing.measure(scenes, cameras, list(cores), repeats, twin_seconds, done)
-        rows = [case.row() for case in cases]
+        rows = []
+        for case in cases:
+            row = case.row()
+            if profile and case.renderer == timing.RENDERER:
+                parts = stage_seconds(case.scene, case.camera, case.threads, repeats)
+                row["stages"] = {name: 1e3 * seconds for name, seconds in parts.items()}
+            rows.append(row)
     report: dict[str, Any] = {"version": __version__, "scene": scene or "synthetic"}
     report["machine"] = timing.machine()
     if first_frame:
         with console.stage("first frame"):
             report["first_frame_seconds"] = timing.seconds_to_first_frame()
     click.echo(_table(rows))
+    if profile:
+        click.echo("\n" + _profile_table(rows))
     if first_frame:
         click.echo(f"first frame with nothing compiled: {report['first_frame_seconds']:.2f} s")
     if json_path is not None:
@@ -177,5 +189,18 @@ def _table(rows: list[dict[str, Any]]) -> str:
             f"{row['threads']:>5}{mark + format(row['milliseconds'], ',.1f'):>14}"
             f"{mark + format(row['processor_milliseconds'], ',.1f'):>14}"
             f"{mark + format(row['fps'], ',.4g'):>11}{ratio:>9}"
+        )
+    return "\n".join(lines)
+
+
+def _profile_table(rows: list[dict[str, Any]]) -> str:
+    """A line per case: milliseconds of each stage."""
+    profiled = [row for row in rows if "stages" in row]
+    names = list(profiled[0]["stages"])
+    lines = ["Gaussians      frame  threads" + "".join(f"{name:>12}" for name in names)]
+    for row in profiled:
+        lines.append(
+            f"{row['gaussians']:>9,}{row['width']:>7}x{row['height']:<5}{row['threads']:>5}  "
+            + "".join(f"{row['stages'][name]:>12.2f}" for name in names)
         )
     return "\n".join(lines)

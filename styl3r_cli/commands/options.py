@@ -109,6 +109,19 @@ class FileName(click.ParamType):
         return str(value)
 
 
+class PathName(FileName):
+    """A camera path by name, or a file."""
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names, and what the shell finds."""
+        from styl3r_cli.cameras.paths import PATHS
+
+        names = [CompletionItem(n, help=PATHS[n]) for n in PATHS if n.startswith(incomplete)]
+        return [*names, CompletionItem(incomplete, type="file")]
+
+
 FILE = FileName()
 
 

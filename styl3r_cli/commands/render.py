@@ -11,6 +11,7 @@ from styl3r_cli.commands.options import (
     LOOP_FRAMES,
     FileName,
     Number,
+    PathName,
     SizeType,
     UserPath,
     quiet_option,
@@ -67,7 +68,7 @@ EXR frames are for compositors: scene-linear colours with alpha, depth (Z) and t
     "and png go out frame by frame.",
 )
 @click.option(
-    "--path", type=FileName(), metavar="NAME|FILE", help="How the camera moves; see above."
+    "--path", type=PathName(), metavar="NAME|FILE", help="How the camera moves; see above."
 )
 @click.option(
     "--cameras",

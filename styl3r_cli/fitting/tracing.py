@@ -35,8 +35,8 @@ from styl3r_cli.splatting.tiles import tile_lists
 # (never out of the picture) halves its size.
 SMALLEST_SHARE = 1e-3
 # Shares per pixel that memory is set aside for at first; scenes of semi-transparent layers have
-# more, and are traced again with as much as they need.
-EXPECTED_SHARES = 24
+# more, and are traced again with as much as they need. 2 to 8 real photos give 20 to 27.
+EXPECTED_SHARES = 32
 
 _ONE = np.float32(1)
 _ALPHA_MAX = np.float32(ALPHA_MAX)

@@ -40,6 +40,25 @@ def test_a_table_and_the_same_as_json(tmp_path: Path) -> None:
     assert "32x8" in result.stdout
 
 
+def test_a_profile_adds_up_to_the_frame(tmp_path: Path) -> None:
+    path = tmp_path / "times.json"
+    result = bench(
+        "--gaussians", 20000, "--sizes", "16,512", "--threads", 1, "--repeats", 5,
+        "--twin-seconds", 0, "--profile", "--json", path,
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    small, large = json.loads(path.read_text())["rows"]
+    for row in (small, large):
+        assert all(milliseconds > 0 for milliseconds in row["stages"].values())
+        # Other frames of the same case, on a machine that may be busy.
+        whole = sum(row["stages"].values()) / row["milliseconds"]
+        assert 0.2 < whole < 5
+    # A thousand times as many pixels are what blending pays for, and projection does not.
+    growth = {name: large["stages"][name] / small["stages"][name] for name in small["stages"]}
+    assert growth["blending"] > 3 * growth["projection"]
+    assert all(name in result.stdout for name in small["stages"])
+
+
 def test_the_twin_stands_beside_it(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     path = tmp_path / "times.json"

@@ -179,6 +179,7 @@ def completed(words: str) -> list[str]:
         ("styl3r render x --lay", ["plain,--layout"]),
         ("styl3r render x --layout w", ["plain,wipe"]),
         ("styl3r render x --save-path a", ["file,a"]),
+        ("styl3r render x --path sp", ["plain,spiral", "file,sp"]),
     ],
 )
 def test_shells_can_complete(words: str, answers: list[str]) -> None:
