@@ -63,7 +63,7 @@ class Compactor:
             cameras: the witnesses.
             threads: None for every core.
             traced: what some of the witnesses see of the scene, if that is known.
-            reshapes: how often shapes are fitted: 0 takes half the time, and twice the Gaussians.
+            reshapes: how often shapes are fitted; half the time and a third more Gaussians at 0.
         """
         self.threads, self.reshapes = threads, reshapes
         self.known = survey(scene, cameras, threads, traced)
