@@ -99,13 +99,14 @@ class Painter:
             gaussians: from `__call__`.
             decibels: PSNR against all of them, from the camera that differs most.
         """
-        from styl3r_cli.compaction import keep_decibels, witnesses
+        from styl3r_cli.compaction import Compactor, witnesses
 
         compactor = self._compactor
         if len(gaussians) == len(compactor.known.scene):
             return compactor.keep_decibels(gaussians.colours, decibels)
         cameras = witnesses(self.recovered.cameras, gaussians)  # some had no finite colour
-        return keep_decibels(gaussians, cameras, decibels, self.threads)
+        compactor = Compactor(gaussians, cameras, self.threads, reshapes=0)
+        return compactor.keep_decibels(gaussians.colours, decibels)
 
     @cached_property
     def _compactor(self) -> Compactor:
@@ -113,7 +114,8 @@ class Painter:
 
         plain, _ = assemble(self.scene, self.scene.images.transpose(0, 2, 3, 1))
         traced = self._fit.traced if self.fitted else []
-        return Compactor(plain, witnesses(self.recovered.cameras, plain), self.threads, traced)
+        cameras = witnesses(self.recovered.cameras, plain)
+        return Compactor(plain, cameras, self.threads, traced, reshapes=0)
 
     @cached_property
     def _overlaps(self) -> Overlaps:

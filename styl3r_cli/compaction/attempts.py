@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 from styl3r_cli.compaction.compaction import SQUARED_8BIT_STEP, decibels
 from styl3r_cli.compaction.cuts import Cut
 from styl3r_cli.compaction.merging import merge
-from styl3r_cli.compaction.survey import Survey
+from styl3r_cli.compaction.survey import Survey, pixel_sizes
 from styl3r_cli.fitting.refit import Target, refit, squared_errors
+from styl3r_cli.fitting.reshape import reshape
 from styl3r_cli.fitting.tracing import Trace, look
 from styl3r_cli.gaussians import FloatArray, Gaussians
+
+# Conjugate gradients of a step of shapes: 3 of them gain 0.6 dB less, 12 gain 0.1 dB more.
+RESHAPE_STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,7 @@ class Attempt:
     Attributes:
         cut: the cut.
         gaussians: its nodes, in the colours that look most like the scene.
+        traces: what the witnesses see of them.
         errors: (K,) the squared errors that are left of each one's pixels, those of worse frames
             counted more.
         decibels: PSNR at each witness.
@@ -40,6 +45,7 @@ class Attempt:
 
     cut: Cut
     gaussians: Gaussians
+    traces: list[Trace]
     errors: NDArray[np.float64]
     decibels: list[float]
 
@@ -84,17 +90,34 @@ def attempt(
         start = node_means(colours, labels, known.weights, len(plain))
         traces = [each.recoloured(start - plain) for each in traces]
     fitted = refit(traces, targets, start, steps, threads)
+    traces = [each.recoloured(fitted - start) for each in traces]
+    return _measured(merged.cut, merged.gaussians.with_colours(fitted), traces, targets)
+
+
+def reshaped(
+    known: Survey, made: Attempt, targets: Sequence[Target], threads: int | None
+) -> Attempt:
+    """Change an attempt's shapes so that they look more like the scene, and measure."""
+    sizes = pixel_sizes(made.gaussians, known.cameras)
+    gaussians = reshape(made.gaussians, made.traces, targets, sizes, RESHAPE_STEPS, threads)
+    return _measured(made.cut, gaussians, look(gaussians, known.cameras, threads), targets)
+
+
+def _measured(
+    cut: Cut, gaussians: Gaussians, traces: list[Trace], targets: Sequence[Target]
+) -> Attempt:
+    """Compare with the targets what the witnesses see."""
     squares = [
-        squared_errors(target, each.recoloured(fitted - start).picture, each.through)
-        for each, target in zip(traces, targets, strict=True)
+        squared_errors(target, each.picture, each.through)
+        for target, each in zip(targets, traces, strict=True)
     ]
     measured = decibels(squares)
-    errors = np.zeros(len(plain))
+    errors = np.zeros(len(gaussians))
     for each, left, shown in zip(traces, squares, measured, strict=True):
         # The promise is made for the worst frame: what is wrong in it counts for more.
         urgency = 10 ** (0.1 * (float(np.mean(measured)) - shown))
         errors += urgency * each.gather(left).sum(axis=1)
-    return Attempt(merged.cut, merged.gaussians.with_colours(fitted), errors, measured)
+    return Attempt(cut, gaussians, traces, errors, measured)
 
 
 def node_means(

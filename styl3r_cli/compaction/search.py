@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.compaction.attempts import Attempt, Merged, attempt, merge_cut
+from styl3r_cli.compaction.attempts import Attempt, Merged, attempt, merge_cut, reshaped
 from styl3r_cli.compaction.compaction import DROPPED, Compaction, decibels, everything
 from styl3r_cli.compaction.cuts import Splits
 from styl3r_cli.compaction.survey import survey
@@ -21,14 +21,17 @@ from styl3r_cli.gaussians import FloatArray, Gaussians
 REFIT_STEPS, ROUGH_STEPS = 3, 1
 # A cut is found by way of a coarser one, whose measured errors say where to split: that is worth
 # 3 dB. The way to a budget begins with that share of it, the way to a promise with what the tree
-# foretells for so many decibels less: the tree sees the errors of colours twice to four times as
-# large as they are, and knows nothing of gaps.
-BEGIN_SHARE, BEGIN_BELOW = 0.6, 4.0
+# foretells for so many decibels less: the tree sees errors twice to four times as large as they
+# are. That the second is split where errors were measured gains so many decibels, at least.
+BEGIN_SHARE, BEGIN_BELOW, REFINED = 0.6, 6.0, 2.0
+# Shapes are fitted so often; that gains so many decibels, at least. It takes as long again.
+RESHAPES, RESHAPED = 2, 4.0
 # Errors shrink a little more slowly than foretold; and what is aimed at above what was asked for
 # makes most second attempts the last.
 OPTIMISM, MARGIN = 1.1, 0.3
 LEAST_STEP, LARGEST_STEP = 1.01, 2.5
 LEAST_SLOPE = 2.0  # decibels per doubling: what two attempts that hardly differ are taken for
+USUAL_SLOPE = 8.0  # measured, 6 from 8 % of a scene to a quarter, 10 from that to half
 WASTE = 2.0  # decibels too many are worth one more attempt
 FINE = 0.97  # a share of what is known to do that is no longer worth an attempt
 MOST_ATTEMPTS = 8
@@ -51,6 +54,7 @@ class Compactor:
         cameras: Sequence[Camera],
         threads: int | None = None,
         traced: Sequence[tuple[Camera, Trace]] = (),
+        reshapes: int = RESHAPES,
     ) -> None:
         """Survey the scene.
 
@@ -59,8 +63,9 @@ class Compactor:
             cameras: the witnesses.
             threads: None for every core.
             traced: what some of the witnesses see of the scene, if that is known.
+            reshapes: how often shapes are fitted; half the time and a third more Gaussians at 0.
         """
-        self.threads = threads
+        self.threads, self.reshapes = threads, reshapes
         self.known = survey(scene, cameras, threads, traced)
         self._begun: tuple[int, Merged] | None = None
 
@@ -79,22 +84,30 @@ class Compactor:
             return everything(whole, known.cameras)
         targets, shown = known.targets(colours), self._shown(colours)
         most = len(known.seen)
-        count = self._splits(None).count_for(_error(targets, target - BEGIN_BELOW))
+        gain = RESHAPED if self.reshapes else 0.0
+        count = self._splits(None).count_for(_error(targets, target - BEGIN_BELOW - gain))
         failed: list[Attempt] = []
         done: Attempt | None = None
-        for number in range(MOST_ATTEMPTS):
+        rough: Attempt | None = None
+        for _ in range(MOST_ATTEMPTS):
             if count >= FINE * (most if done is None else len(done.gaussians)):
                 break
-            steps = REFIT_STEPS if number else ROUGH_STEPS
-            above = failed[-1] if failed else None
-            made = self._attempt(count, above, shown, targets, steps)
+            if rough is None:
+                made = rough = self._attempt(count, None, shown, targets, ROUGH_STEPS)
+            else:
+                above = failed[-1] if failed else rough
+                made = self._attempt(count, above, shown, targets, REFIT_STEPS)
+                made = self._reshaped(made, targets, target)
             if made.worst >= target:
                 done = made
                 if made.worst - target < WASTE:
                     break
-            else:
+            elif made is not rough:
                 failed.append(made)
-            count = self._next(failed, done, target)
+            if done is None and not failed:
+                count = self._more(rough, target - REFINED - gain)
+            else:
+                count = self._next(failed, done, target)
         if done is not None:
             return self._result(done)
         result = self.without_unseen(colours)
@@ -112,7 +125,8 @@ class Compactor:
         targets, shown = self.known.targets(colours), self._shown(colours)
         first = max(1, round(BEGIN_SHARE * count))
         rough = self._attempt(first, None, shown, targets, ROUGH_STEPS)
-        return self._result(self._attempt(count, rough, shown, targets, REFIT_STEPS))
+        made = self._attempt(count, rough, shown, targets, REFIT_STEPS)
+        return self._result(self._reshaped(made, targets, math.inf))
 
     def without_unseen(self, colours: FloatArray) -> Compaction:
         """Only what no witness sees is left out, and the rest is as it was."""
@@ -145,6 +159,17 @@ class Compactor:
             merged = merge_cut(self.known, self._splits(above).cut(count), self.threads)
         return attempt(self.known, merged, colours, targets, steps, self.threads)
 
+    def _reshaped(self, made: Attempt, targets: Sequence[Target], enough: float) -> Attempt:
+        """The attempt with its shapes fitted, until that is good enough or no longer helps."""
+        for _ in range(self.reshapes):
+            if made.worst >= enough:
+                break
+            better = reshaped(self.known, made, targets, self.threads)
+            if better.worst <= made.worst:
+                break
+            made = better
+        return made
+
     def _first(self, count: int) -> Merged:
         """A cut as the tree has it: all colours begin with the same one."""
         if self._begun is None or self._begun[0] != count:
@@ -163,11 +188,14 @@ class Compactor:
         """How many Gaussians to try after attempts that did not do, or did far too well."""
         if done is not None:
             return _between(failed[-1], done, target) if failed else self._fewer(done, target)
-        more = self._more(failed[-1], target)
-        return max(more, _between(failed[-2], failed[-1], target)) if len(failed) > 1 else more
+        if len(failed) > 1:
+            return _between(failed[-2], failed[-1], target)
+        few = len(failed[0].gaussians)
+        doublings = (target + MARGIN - failed[0].worst) / USUAL_SLOPE
+        return _step(failed[0], few * 2**doublings)
 
     def _more(self, failed: Attempt, target: float) -> int:
-        """How many should do, by the errors of an attempt that did not."""
+        """How many should do, by the errors of a rough attempt."""
         lacking = OPTIMISM * (target - failed.worst) + MARGIN
         error = float(failed.errors.sum()) * 10 ** (-0.1 * lacking)
         return _step(failed, self._splits(failed).count_for(error))
@@ -228,8 +256,9 @@ def _between(one: Attempt, two: Attempt, target: float) -> int:
     """
     few, many = len(one.gaussians), len(two.gaussians)
     slope = max((two.worst - one.worst) / math.log2(many / few), LEAST_SLOPE)
-    lacking = (target + MARGIN - one.worst) / slope
-    return _step(one, few * 2 ** min(lacking, math.log2(many / few) + math.log2(LARGEST_STEP)))
+    nearer = two if two.worst < target else one
+    lacking = target + MARGIN - nearer.worst
+    return _step(nearer, len(nearer.gaussians) * 2 ** (lacking / slope))
 
 
 def _step(failed: Attempt, count: float) -> int:

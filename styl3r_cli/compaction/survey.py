@@ -1,5 +1,8 @@
 """A scene before it is compacted: what is seen of it, how it looks, and what is alike."""
 
+# numba infers the types of the kernels.
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -14,6 +17,7 @@ from styl3r_cli.compaction.tree import Tree, build_tree
 from styl3r_cli.fitting.refit import Target
 from styl3r_cli.fitting.tracing import SMALLEST_SHARE, Trace, look
 from styl3r_cli.gaussians import FloatArray, Gaussians
+from styl3r_cli.splatting.compiler import kernel
 
 # Part of a pixel that every Gaussian counts for, so that a node of hardly seen ones has a mean.
 LEAST_WEIGHT = 1e-3
@@ -81,7 +85,8 @@ def survey(
     eye = np.mean([centre(camera.extrinsics) for camera in cameras], axis=0)
     tree = None
     if len(seen):
-        tree = build_tree(shown.means, shown.colours, weights, sizes, eye, threads)
+        contrasts = _contrasts(gaussians.colours, traces)[seen]
+        tree = build_tree(shown.means, shown.colours, weights, sizes, eye, contrasts, threads)
     return Survey(gaussians, list(cameras), traces, seen, shown, weights, sizes, tree)
 
 
@@ -93,6 +98,23 @@ def pixel_sizes(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.f
         behind = depths <= 0
         np.minimum(sizes, np.where(behind, np.inf, depths / camera.fx), out=sizes)
     return sizes
+
+
+def _contrasts(colours: FloatArray, traces: Sequence[Trace]) -> NDArray[np.float64]:
+    """(G,) squared differences of each Gaussian to the pixels that show it, times its shares."""
+    found = np.zeros(len(colours))
+    for each in traces:
+        _differ(each.pixels, each.gaussians, each.shares, each.picture, colours, found)
+    return found
+
+
+@kernel
+def _differ(pixels, gaussians, shares, picture, colours, found):
+    for i in range(len(shares)):
+        g, p = gaussians[i], pixels[i]
+        a, b = colours[g, 0] - picture[p, 0], colours[g, 1] - picture[p, 1]
+        c = colours[g, 2] - picture[p, 2]
+        found[g] += shares[i] * (a * a + b * b + c * c)
 
 
 def _look(

@@ -34,9 +34,10 @@ from styl3r_cli.splatting.tiles import tile_lists
 # A share that is smaller moves no 8-bit value by a quarter of a step; leaving it out of the matrix
 # (never out of the picture) halves its size.
 SMALLEST_SHARE = 1e-3
-# Shares per pixel that memory is set aside for at first; scenes of semi-transparent layers have
-# more, and are traced again with as much as they need. 2 to 8 real photos give 20 to 27.
-EXPECTED_SHARES = 32
+# Shares per pixel that memory is set aside for at first (what stays unused costs none); scenes of
+# many semi-transparent layers have more, and are traced again with as much as they need. Scenes of
+# 2 to 8 photos have 20 to 30.
+EXPECTED_SHARES = 64
 
 _ONE = np.float32(1)
 _ALPHA_MAX = np.float32(ALPHA_MAX)
@@ -125,7 +126,9 @@ def trace(gaussians: Gaussians, camera: Camera, near: float) -> Trace:
                 break
             room = needed
         found.append([each[:needed] for each in entries])
-    pixels, members, shares = (np.concatenate(each) for each in zip(*found, strict=True))
+    pixels, members, shares = (
+        each[0] if len(each) == 1 else np.concatenate(each) for each in zip(*found, strict=True)
+    )
     return Trace(pixels, members, shares, picture, np.abs(through), listed, len(gaussians))
 
 

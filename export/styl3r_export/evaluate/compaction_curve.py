@@ -2,9 +2,10 @@
 
     python -m styl3r_export.evaluate.compaction_curve scene.ply other.ply --shares 0.25 0.08
 
-Each scene (with its cameras, as `styl3r stylize` writes it) is reduced to the same numbers of
+Each scene (with its cameras, as `styl3r stylize --all` writes it) is reduced to the same numbers of
 Gaussians by every method, and drawn from its views, halfway between them (which compaction
-answers to), and a quarter before and after (which it never saw). Prints one CSV line each.
+answers to), and a quarter before and after (which it never saw). Prints one CSV line each, and a
+table of the medians over all scenes on standard error.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +26,10 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.stored import cameras_from_metadata
 from styl3r_cli.compaction import in_between, keep_count, witnesses
 from styl3r_cli.formats import read_scene, write_scene
-from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting import render
 
 SHARES = (1.0, 0.5, 0.35, 0.25, 0.15, 0.08, 0.04, 0.02)
-BACKGROUNDS = (0.0, 1.0)
 NO_ERROR = 1e-12
 FINEST = 1e-6  # of the scene: 21 bits a side
 GRID_ATTEMPTS = 24
@@ -98,55 +99,124 @@ def splat_transform(program: str) -> Method:
     return decimate
 
 
-def decibels(scene: Gaussians, other: Gaussians, cameras: Sequence[Camera]) -> list[float]:
-    """PSNR of each camera's frame, clipped as files are, over both backgrounds."""
+OURS = "compact"
+METHODS: dict[str, Method] = {
+    OURS: compacted,
+    "random": random_choice,
+    "opacity": most_opaque,
+    "voxels": voxel_grid,
+}
+HEADER = "scene,method,share,kept,db_witnesses,db_worst,db_unseen,seconds,cpu_seconds"
+
+
+def frames(scene: Gaussians, cameras: Sequence[Camera]) -> list[FloatArray]:
+    """Each camera's (2, H, W, 3) frames on black and on white, clipped as files are."""
     found = []
     for camera in cameras:
-        squares = []
-        for value in BACKGROUNDS:
-            frames = [
-                np.clip(render(each, camera, (value,) * 3).colour, 0, 1) for each in (scene, other)
-            ]
-            squares.append(np.mean((frames[0] - frames[1]) ** 2))
-        found.append(-10 * math.log10(max(float(np.mean(squares)), NO_ERROR)))
+        drawn = render(scene, camera)
+        through = 1 - drawn.alpha[..., None]
+        found.append(np.clip([drawn.colour, drawn.colour + through], 0, 1))
     return found
 
 
+def decibels(whole: Sequence[FloatArray], kept: Sequence[FloatArray]) -> list[float]:
+    """PSNR of each camera's frames, over both backgrounds."""
+    squares = [float(np.mean((a - b) ** 2)) for a, b in zip(whole, kept, strict=True)]
+    return [-10 * math.log10(max(square, NO_ERROR)) for square in squares]
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came of a scene, a method and a share.
+
+    Attributes:
+        scene: the file's name.
+        method: of METHODS.
+        share: of the Gaussians that were asked for.
+        kept: how many there are.
+        witnesses: mean PSNR at the cameras that compaction answers to.
+        worst: PSNR at the worst of them.
+        unseen: mean PSNR at cameras that it never saw.
+        seconds: on the clock.
+        cpu_seconds: of this process's threads.
+    """
+
+    scene: str
+    method: str
+    share: float
+    kept: int
+    witnesses: float
+    worst: float
+    unseen: float
+    seconds: float
+    cpu_seconds: float
+
+    def csv(self) -> str:
+        """One line, in the order of HEADER."""
+        values = (self.witnesses, self.worst, self.unseen, self.seconds, self.cpu_seconds)
+        numbers = ",".join(f"{value:.2f}" for value in values)
+        return f"{self.scene},{self.method},{self.share:g},{self.kept},{numbers}"
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the curve of every scene and method as CSV."""
+    """Print the curve of every scene and method as CSV, and the medians."""
     parser = argparse.ArgumentParser(description="PSNR against the share of Gaussians kept")
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--shares", nargs="+", type=float, default=SHARES)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--splat-transform", metavar="PROGRAM", help="also its --decimate")
     options = parser.parse_args(arguments)
-    methods: dict[str, Method] = {
-        "compact": compacted,
-        "random": random_choice,
-        "opacity": most_opaque,
-        "voxels": voxel_grid,
-    }
+    methods = {name: METHODS[name] for name in options.methods}
     if options.splat_transform:
         methods["splat-transform"] = splat_transform(options.splat_transform)
-    print("scene,method,share,kept,db_witnesses,db_worst,db_unseen,seconds,cpu_seconds")
+    print(HEADER)
+    rows = []
     for path in options.scenes:
-        _curve(path, methods, options.shares)
+        for row in _curve(path, methods, options.shares):
+            print(row.csv(), flush=True)
+            rows.append(row)
+    print(medians(rows), file=sys.stderr)
 
 
-def _curve(path: Path, methods: dict[str, Method], shares: Sequence[float]) -> None:
+def medians(rows: Sequence[Row]) -> str:
+    """A table of the median scene's PSNR at the witnesses, a method a column.
+
+    Behind a baseline's figure: in how many scenes compaction is better, of how many.
+    """
+    names = list(dict.fromkeys(row.method for row in rows))
+    found = {(row.scene, row.method, row.share): row.witnesses for row in rows}
+    scenes = list(dict.fromkeys(row.scene for row in rows))
+    lines = ["| share | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
+    for share in dict.fromkeys(row.share for row in rows):
+        cells = []
+        for name in names:
+            cell = f"{np.median([found[scene, name, share] for scene in scenes]):.1f} dB"
+            if name != OURS and OURS in names:
+                ahead = [found[scene, OURS, share] > found[scene, name, share] for scene in scenes]
+                cell += f" ({sum(ahead)}/{len(ahead)})"
+            cells.append(cell)
+        lines.append(f"| {100 * share:g} % | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _curve(path: Path, methods: dict[str, Method], shares: Sequence[float]) -> Iterator[Row]:
     stored = read_scene(path)
     scene, views = stored.gaussians, cameras_from_metadata(stored.metadata)
     if len(views) < 2:
         sys.exit(f"{path}: it has {len(views)} cameras; the curve needs at least two")
     cameras, unseen = witnesses(views, scene), in_between(views, (0.25, 0.75))
+    whole = frames(scene, [*cameras, *unseen])
     for share in shares:
         for name, reduce in methods.items():
             start, worked = time.perf_counter(), time.process_time()
             kept = reduce(scene, cameras, max(1, round(share * len(scene))))
             worked, took = time.process_time() - worked, time.perf_counter() - start
-            seen, other = decibels(scene, kept, cameras), decibels(scene, kept, unseen)
-            values = (np.mean(seen), min(seen), np.mean(other), took, worked)
-            numbers = ",".join(f"{value:.2f}" for value in values)
-            print(f"{path.stem},{name},{share:g},{len(kept)},{numbers}", flush=True)
+            found = decibels(whole, frames(kept, [*cameras, *unseen]))
+            seen, other = found[: len(cameras)], found[len(cameras) :]
+            yield Row(
+                path.stem, name, share, len(kept),
+                float(np.mean(seen)), min(seen), float(np.mean(other)), took, worked,
+            )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -89,9 +89,7 @@ def test_the_same_tree_from_any_number_of_threads() -> None:
     random = np.random.default_rng(5)
     places, colours = random.random((900, 3)), random.random((900, 3))
     weights, sizes = random.uniform(0.1, 2, 900), np.full(900, 0.01)
-    one, three = (
-        build_tree(places, colours, weights, sizes, np.zeros(3), threads) for threads in (1, 3)
-    )
+    one, three = (build_tree(places, colours, weights, sizes, np.zeros(3), None, n) for n in (1, 3))
     for name in ("order", "starts", "ends", "parents", "leaves", "errors"):
         assert (getattr(one, name) == getattr(three, name)).all()
 
