@@ -22,7 +22,7 @@ from styl3r_cli.errors import ModelError, OutputError
 from styl3r_cli.graphs import Model
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.pipeline import Stylizer
-from styl3r_export.quantise import loss
+from styl3r_export.quantise import folders, loss
 from styl3r_export.quantise.calibration import Sample
 from styl3r_export.quantise.folders import convert_folder
 from styl3r_export.quantise.storage import LARGEST_INT8, to_int8
@@ -217,6 +217,17 @@ def test_mixed_rounds_how_gaussians_look_and_not_where_they_are(
     # Sixteen bits: a twentieth of the error that a rounded input of the head would make.
     assert np.abs(mixed.means - exact.means).max() < 5e-4
     assert 1e-4 < np.abs(mixed.opacities - exact.opacities).max() < 0.1
+
+
+def test_large_graphs_keep_weights_in_a_file_that_all_may_read(
+    source: Path, samples: list[Sample], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folders, "EXTERNAL_ABOVE", 1000)
+    convert_folder(source, tmp_path / "m", "w8", samples)
+    graph = tmp_path / "m" / manifests.APPEARANCE
+    beside = graph.with_name(f"{graph.name}.data")
+    assert beside.stat().st_size > graph.stat().st_size
+    assert beside.stat().st_mode == graph.stat().st_mode
 
 
 def test_fp16_and_back_computes_the_same_bits(

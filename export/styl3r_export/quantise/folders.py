@@ -23,8 +23,9 @@ from styl3r_export.quantise.variants import VARIANTS, find_large
 # Entered with a name; the command's console shows how long it takes.
 Stage = Callable[[str], AbstractContextManager[object]]
 # Graphs beyond this many bytes of weights keep them in a file of their own: a protobuf message
-# cannot pass 2 GiB, and the rest of the graph needs some room.
-EXTERNAL_ABOVE = (1 << 31) - (64 << 20)
+# cannot pass 2 GiB, and weights inside one are in memory twice while they load (full's peak in the
+# precision "mixed" is 3.2 GB so, and 2.5 GB with files of their own).
+EXTERNAL_ABOVE = 256 << 20
 EXACT = ("fp32", "fp16")  # what other precisions are made from
 
 
@@ -176,6 +177,8 @@ def _save(model: onnx.ModelProto, path: Path) -> None:
     external = sum(len(tensor.raw_data) for tensor in model.graph.initializer) > EXTERNAL_ABOVE
     location = f"{path.name}.data" if external else None
     onnx.save_model(model, path, save_as_external_data=external, location=location)
+    if location:  # it is made for its owner's eyes only
+        (path.parent / location).chmod(path.stat().st_mode & 0o777)
 
 
 @contextmanager
