@@ -48,6 +48,7 @@ Precisions:
   w4           matrices in 4 bits, convolutions in 8; computed in float32
   int8         matrix products in 8-bit integers, ranges found as it runs
   int8-static  int8, and the heads' convolutions with ranges calibrated on --photos
+  mixed        int8-static, but for what decides where Gaussians are: float32
 Normalisation, softmax, exponential depth, and every head's last layer and activation stay float32.
 A precision whose pictures keep less than 30 dB of the original's in any view is refused.
 """
@@ -65,7 +66,7 @@ A precision whose pictures keep less than 30 dB of the original's in any view is
 )
 @click.option(
     "--precision",
-    type=click.Choice(["fp32", "fp16", "w8", "w4", "int8", "int8-static"]),
+    type=click.Choice(["fp32", "fp16", "w8", "w4", "int8", "int8-static", "mixed"]),
     default="fp32",
     show_default=True,
     help="How weights are stored, and what is computed in integers; see above.",

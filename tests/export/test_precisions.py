@@ -14,14 +14,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import helper, numpy_helper
-from tiny_model import APPEARANCE_GRAPH, parse_graph, write_model
+from tiny_model import APPEARANCE_GRAPH, STRUCTURE_GRAPH, parse_graph, write_model
 
 from styl3r_cli import main
 from styl3r_cli import manifest as manifests
 from styl3r_cli.errors import ModelError, OutputError
 from styl3r_cli.graphs import Model
 from styl3r_cli.photos import load_photos, load_style
-from styl3r_export.quantise import loss
+from styl3r_cli.pipeline import Stylizer
+from styl3r_export.quantise import folders, loss
 from styl3r_export.quantise.calibration import Sample
 from styl3r_export.quantise.folders import convert_folder
 from styl3r_export.quantise.storage import LARGEST_INT8, to_int8
@@ -46,13 +47,71 @@ NETWORK = """
 """
 
 
+# One map that a head for places and a head for looks both read, behind a matrix product.
+HEADS = """
+  stem = Conv <kernel_shape = [3, 3], pads = [1, 1, 1, 1]> (images, stem_weight)
+  stem_rows = Transpose <perm = [0, 2, 3, 1]> (stem)
+  tokens = MatMul (stem_rows, tokens_weight)
+  map = Transpose <perm = [0, 3, 1, 2]> (tokens)
+  looks = Conv <kernel_shape = [3, 3], pads = [1, 1, 1, 1]> (map, gaussian_param_head_body)
+  looks_last = Conv <kernel_shape = [1, 1]> (looks, gaussian_param_head_last)
+  places = Conv <kernel_shape = [3, 3], pads = [1, 1, 1, 1]> (map, downstream_head_body)
+  places_last = Conv <kernel_shape = [1, 1]> (places, downstream_head_last)
+  head_axis = Constant <value_ints = [1]> ()
+  z_offset = Squeeze (places_last, head_axis)
+  logits = Squeeze (looks_last, head_axis)
+"""
+
+
+def add_weights(model: onnx.ModelProto, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Random values for what a parsed graph declared as inputs so that it could be checked."""
+    random = np.random.default_rng(0)
+    for name, shape in shapes.items():
+        fan_in = np.prod(shape[1:]) if len(shape) == 4 else shape[0]
+        values = random.standard_normal(shape).astype(np.float32) / np.float32(fan_in**0.5)
+        model.graph.initializer.append(numpy_helper.from_array(values, name))
+    inputs = [value for value in model.graph.input if value.name not in shapes]
+    del model.graph.input[:]
+    model.graph.input.extend(inputs)
+
+
+def declared(shapes: dict[str, tuple[int, ...]]) -> str:
+    return ", ".join(f"float[{','.join(map(str, s))}] {n}" for n, s in shapes.items())
+
+
+@pytest.fixture
+def two_heads(tmp_path: Path) -> Path:
+    """A model whose points and opacities come from two heads."""
+    folder = write_model(tmp_path / "two_heads")
+    shapes = {
+        "stem_weight": (WIDTH, 3, 3, 3),
+        "tokens_weight": (WIDTH, WIDTH),
+        "gaussian_param_head_body": (CHANNELS, WIDTH, 3, 3),
+        "gaussian_param_head_last": (1, CHANNELS, 1, 1),
+        "downstream_head_body": (CHANNELS, WIDTH, 3, 3),
+        "downstream_head_last": (1, CHANNELS, 1, 1),
+    }
+    text = STRUCTURE_GRAPH.replace("intrinsics)\n", f"intrinsics, {declared(shapes)})\n")
+    text = text.replace("  zero = ", f"{HEADS}  zero = ", 1)
+    text = text.replace("  z = Add (brightness, two)", "  z = Add (z_offset, two)")
+    text = text.replace("  opacities = Expand (solid, size)", "  opacities = Sigmoid (logits)")
+    properties = {p.key: p.value for p in onnx.load(folder / manifests.STRUCTURE).metadata_props}
+    model = parse_graph(text, **properties)
+    add_weights(model, shapes)
+    onnx.save(model, folder / manifests.STRUCTURE)
+    described = manifests.Manifest(
+        "tiny", "1", "known geometry", "fp32", manifests.describe_files(folder)
+    )
+    (folder / manifests.MANIFEST).write_text(described.to_json())
+    return folder
+
+
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model with large and small matrices and convolutions."""
     folder = write_model(tmp_path_factory.mktemp("source"))
     text = APPEARANCE_GRAPH.replace("  colours = Add (half_photo, half_style)\n}\n", NETWORK)
     text = text.replace("images)\n  =>", "images, WEIGHTS)\n  =>")
-    random = np.random.default_rng(0)
     shapes = {
         "first_weight": (CHANNELS, 3, 3, 3),
         "head_body_weight": (CHANNELS, CHANNELS, 3, 3),
@@ -61,17 +120,10 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "mixing_weight": (WIDTH, WIDTH),
         "narrow_weight": (WIDTH, 3),
     }
-    declared = ", ".join(f"float[{','.join(map(str, s))}] {n}" for n, s in shapes.items())
     original = onnx.load(folder / manifests.APPEARANCE)
     properties = {p.key: p.value for p in original.metadata_props}
-    model = parse_graph(text.replace("WEIGHTS", declared), **properties)
-    for name, shape in shapes.items():
-        fan_in = np.prod(shape[1:]) if len(shape) == 4 else shape[0]
-        values = random.standard_normal(shape).astype(np.float32) / np.float32(fan_in**0.5)
-        model.graph.initializer.append(numpy_helper.from_array(values, name))
-    inputs = [value for value in model.graph.input if value.name not in shapes]
-    del model.graph.input[:]
-    model.graph.input.extend(inputs)
+    model = parse_graph(text.replace("WEIGHTS", declared(shapes)), **properties)
+    add_weights(model, shapes)
     helper.set_model_props(model, {**properties, manifests.PROP_PRECISION: "fp32"})
     onnx.save(model, folder / manifests.APPEARANCE)
     described = manifests.Manifest(
@@ -119,6 +171,7 @@ def test_integers_are_within_half_a_step(
         ("w4", {"MatMulNBits"}, 0.3, 40),
         ("int8", {"MatMulInteger", "DynamicQuantizeLinear"}, 0.3, 40),
         ("int8-static", {"MatMulInteger", "QuantizeLinear", "DequantizeLinear"}, 0.3, 35),
+        ("mixed", {"MatMulInteger", "QuantizeLinear", "DequantizeLinear"}, 0.3, 35),
     ],
 )
 def test_each_precision_touches_large_weights_only(
@@ -142,10 +195,39 @@ def test_each_precision_touches_large_weights_only(
     operators = operators_of(tmp_path / "m")
     assert new <= set(operators)
     for kept in ("Softmax", "Relu", "Conv", "Transpose"):
-        assert operators[kept] == operators_of(source)[kept] or precision == "int8-static"
+        assert operators[kept] == operators_of(source)[kept] or VARIANTS[precision].calibrated
     assert operators["Softmax"] == 1
     model = Model.load(str(tmp_path / "m"), "cpu")
     assert model.appearance.metadata[manifests.PROP_PRECISION] == precision
+
+
+def test_mixed_rounds_how_gaussians_look_and_not_where_they_are(
+    two_heads: Path, samples: list[Sample], tmp_path: Path
+) -> None:
+    convert_folder(two_heads, tmp_path / "m", "mixed", samples)
+    graph = onnx.load(tmp_path / "m" / manifests.STRUCTURE).graph
+    types = {tensor.name: tensor.data_type for tensor in graph.initializer}
+    assert types["tokens_weight/integers"] == onnx.TensorProto.INT16
+    assert types["downstream_head_body"] == onnx.TensorProto.FLOAT
+    assert "gaussian_param_head_body" not in types
+    exact, mixed = (
+        Stylizer(str(folder), "cpu").encode(samples[0].photos)
+        for folder in (two_heads, tmp_path / "m")
+    )
+    # Sixteen bits: a twentieth of the error that a rounded input of the head would make.
+    assert np.abs(mixed.means - exact.means).max() < 5e-4
+    assert 1e-4 < np.abs(mixed.opacities - exact.opacities).max() < 0.1
+
+
+def test_large_graphs_keep_weights_in_a_file_that_all_may_read(
+    source: Path, samples: list[Sample], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(folders, "EXTERNAL_ABOVE", 1000)
+    convert_folder(source, tmp_path / "m", "w8", samples)
+    graph = tmp_path / "m" / manifests.APPEARANCE
+    beside = graph.with_name(f"{graph.name}.data")
+    assert beside.stat().st_size > graph.stat().st_size
+    assert beside.stat().st_mode == graph.stat().st_mode
 
 
 def test_fp16_and_back_computes_the_same_bits(

@@ -167,6 +167,12 @@ def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
 
 
+def cross(a: Float[Tensor, "*batch 3"], b: Float[Tensor, "*batch 3"]) -> Tensor:
+    """Cross products a x b."""
+    (ax, ay, az), (bx, by, bz) = a.unbind(-1), b.unbind(-1)
+    return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), dim=-1)
+
+
 def normal_equations(both: BothWays, sides: Sides, rho: Tensor, outlier: float | Tensor) -> Normal:
     """Weighted squares of reprojection errors and of departures from the depth prior."""
     turned, y = project(both, sides, rho)
@@ -178,7 +184,9 @@ def normal_equations(both: BothWays, sides: Sides, rho: Tensor, outlier: float |
         (torch.eye(2, device=z.device) + seen[..., None] * 0, -seen[..., None]), -1
     )
     to_picture = to_picture / z[..., None]
-    by_pose = torch.cat((-to_picture @ skew(turned), to_picture * rho[..., None, None]), dim=-1)
+    # A row r times [v]x is r x v: thousands of products of tiny matrices are slower.
+    by_turn = cross(turned[..., None, :], to_picture)
+    by_pose = torch.cat((by_turn, to_picture * rho[..., None, None]), dim=-1)
     by_depth = (shift[..., :2] - seen * shift[..., 2:]) / z
     squared = residual.square().sum(dim=-1) / outlier**2
     # Geman-McClure: the weight of a gross outlier falls with the fourth power of its error.

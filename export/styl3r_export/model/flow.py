@@ -15,6 +15,7 @@ from styl3r_export.model.stem import PyramidStem
 # RAFT-small's sizes (Teed and Deng, ECCV 2020): channels of the recurrent state and of the
 # context beside it, levels of the correlation pyramid, and reach of the look-up in each.
 HIDDEN, CONTEXT = 96, 64
+MOTION = 80  # features of the correlations and the flow; the flow itself goes beside them
 LEVELS, RADIUS = 4, 3
 WINDOW = 2 * RADIUS + 1
 # Expected error of an untrained network, as a logarithm of cells: one pixel.
@@ -38,31 +39,67 @@ class MotionEncoder(nn.Module):
         self.convc1 = nn.Conv2d(LEVELS * WINDOW**2, 96, 1)
         self.convf1 = nn.Conv2d(2, 64, 7, padding=3)
         self.convf2 = nn.Conv2d(64, 32, 3, padding=1)
-        self.conv = nn.Conv2d(128, 80, 3, padding=1)
+        self.conv = nn.Conv2d(128, MOTION, 3, padding=1)
 
-    def forward(self, costs: Tensor, flow: Tensor) -> Float[Tensor, "batch 82 h w"]:
-        """Features of both, and the flow itself."""
+    def forward(self, costs: Tensor, flow: Tensor) -> Float[Tensor, "batch 80 h w"]:
+        """Features of both."""
         cost = F.relu(self.convc1(costs))
         motion = F.relu(self.convf2(F.relu(self.convf1(flow))))
-        return torch.cat((F.relu(self.conv(torch.cat((cost, motion), 1))), flow), 1)
+        return F.relu(self.conv(torch.cat((cost, motion), 1)))
+
+
+class Gates(NamedTuple):
+    """What the context adds to each gate of the recurrent unit, the same in every round."""
+
+    keep: Float[Tensor, "batch 96 h w"]
+    reset: Float[Tensor, "batch 96 h w"]
+    fresh: Float[Tensor, "batch 96 h w"]
 
 
 class Gru(nn.Module):
-    """The convolutional gated recurrent unit."""
+    """The convolutional gated recurrent unit, its convolutions split by what they read.
+
+    The context's part is the same in every round, a quarter of the arithmetic. Of the rest, the
+    flow's two channels go apart: without them the others are a multiple of 16, which onnxruntime
+    has faster convolutions for (a gate of 32 x 32 cells takes 6.4 ms instead of 11.3, all told).
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        width = HIDDEN + CONTEXT + 82
+        width = HIDDEN + CONTEXT + MOTION + 2
         self.convz = nn.Conv2d(width, HIDDEN, 3, padding=1)
         self.convr = nn.Conv2d(width, HIDDEN, 3, padding=1)
         self.convq = nn.Conv2d(width, HIDDEN, 3, padding=1)
 
-    def forward(self, state: Tensor, x: Tensor) -> Float[Tensor, "batch 96 h w"]:
+    def gates(self, context: Float[Tensor, "batch 64 h w"]) -> Gates:
+        """The context's part of every gate, biases included."""
+        convolutions = (self.convz, self.convr, self.convq)
+        return Gates(*(F.conv2d(context, parts(c)[1], c.bias, padding=1) for c in convolutions))
+
+    def forward(
+        self,
+        state: Float[Tensor, "batch 96 h w"],
+        gates: Gates,
+        motion: Float[Tensor, "batch 80 h w"],
+        flow: Float[Tensor, "batch 2 h w"],
+    ) -> Float[Tensor, "batch 96 h w"]:
         """The next state."""
-        both = torch.cat((state, x), 1)
-        keep, reset = self.convz(both).sigmoid(), self.convr(both).sigmoid()
-        fresh = self.convq(torch.cat((reset * state, x), 1)).tanh()
+
+        def gate(convolution: nn.Conv2d, state: Tensor, start: Tensor) -> Tensor:
+            features, _, of_flow = parts(convolution)
+            seen = F.conv2d(torch.cat((state, motion), 1), features, padding=1)
+            return seen + F.conv2d(flow, of_flow, padding=1) + start
+
+        keep = gate(self.convz, state, gates.keep).sigmoid()
+        reset = gate(self.convr, state, gates.reset).sigmoid()
+        fresh = gate(self.convq, reset * state, gates.fresh).tanh()
         return (1 - keep) * state + keep * fresh
+
+
+def parts(convolution: nn.Conv2d) -> tuple[Tensor, Tensor, Tensor]:
+    """A gate's weights for state and motion, for the context, and for the flow."""
+    state, context, motion, flow = convolution.weight.split((HIDDEN, CONTEXT, MOTION, 2), dim=1)
+    return torch.cat((state, motion), 1), context, flow
 
 
 class FlowHead(nn.Module):
@@ -88,10 +125,10 @@ class UpdateBlock(nn.Module):
         self.flow_head = FlowHead()
 
     def forward(
-        self, state: Tensor, context: Tensor, costs: Tensor, flow: Tensor
+        self, state: Tensor, gates: Gates, costs: Tensor, flow: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The next state and flow."""
-        state = self.gru(state, torch.cat((context, self.encoder(costs, flow)), 1))
+        state = self.gru(state, gates, self.encoder(costs, flow), flow.to(state.dtype))
         return state, flow + self.flow_head(state).to(flow.dtype)
 
 
@@ -121,13 +158,14 @@ class Flow(nn.Module):
     ) -> Flows:
         """Where the source's cells are in the target."""
         pyramid = correlate(source.float(), target.float())
-        state, extra = context[:, :HIDDEN].tanh(), F.relu(context[:, HIDDEN:])
+        state = context[:, :HIDDEN].tanh()
+        gates = self.update_block.gru.gates(F.relu(context[:, HIDDEN:]))
         rounds = []
 
         def step(carry: Carry, _: float | Tensor) -> Carry:
             state, flow = carry
             flow = flow.detach()  # RAFT's gradient does not cross rounds through the flow
-            state, flow = self.update_block(state, extra, look_up(pyramid, flow), flow)
+            state, flow = self.update_block(state, gates, look_up(pyramid, flow), flow)
             if self.training:
                 rounds.append(flow)
             return state, flow
@@ -182,10 +220,10 @@ def window(
     inside_y = ((row >= 0) & (row < height)).to(costs.dtype)
     column = column.clamp_min(0).minimum(width - 1)
     row = row.clamp_min(0).minimum(height - 1)
-    index = (row[..., :, None] * width + column[..., None, :]).long()
+    index = (row[..., None, :] * width + column[..., :, None]).long()
     block = costs.flatten(2).gather(2, index.flatten(2)).unflatten(2, (WINDOW + 1, WINDOW + 1))
-    block = block * inside_y[..., :, None] * inside_x[..., None, :]
+    block = block * inside_y[..., None, :] * inside_x[..., :, None]
     fx, fy = (x - x.floor())[..., None, None], (y - y.floor())[..., None, None]
-    block = block[..., :-1] * (1 - fx) + block[..., 1:] * fx
-    block = block[..., :-1, :] * (1 - fy) + block[..., 1:, :] * fy
-    return block.transpose(-1, -2).flatten(2)
+    block = block[..., :-1, :] * (1 - fx) + block[..., 1:, :] * fx
+    block = block[..., :-1] * (1 - fy) + block[..., 1:] * fy
+    return block.flatten(2)

@@ -23,8 +23,9 @@ from styl3r_export.quantise.variants import VARIANTS, find_large
 # Entered with a name; the command's console shows how long it takes.
 Stage = Callable[[str], AbstractContextManager[object]]
 # Graphs beyond this many bytes of weights keep them in a file of their own: a protobuf message
-# cannot pass 2 GiB, and the rest of the graph needs some room.
-EXTERNAL_ABOVE = (1 << 31) - (64 << 20)
+# cannot pass 2 GiB, and weights inside one are in memory twice while they load (full's peak in the
+# precision "mixed" is 3.2 GB so, and 2.5 GB with files of their own).
+EXTERNAL_ABOVE = 256 << 20
 EXACT = ("fp32", "fp16")  # what other precisions are made from
 
 
@@ -106,7 +107,9 @@ def _convert(source: Path, target: Path, precision: str, feeds: Sequence[integer
     elif precision == "w4":
         model = integers.pack_matrices(model, large.matrices)
         storage.store_as_integers(model.graph, large.convolved)
-    elif precision in ("int8", "int8-static"):
+    elif precision == "mixed" and source.name == STRUCTURE:
+        model = _looks_in_integers(model, feeds)
+    elif precision != "fp32":
         model = _in_integers(model, precision, feeds)
     if precision not in EXACT:  # what loops read can only be halved
         storage.halve(model.graph, large.rest)
@@ -123,17 +126,44 @@ def _in_integers(
     large = find_large(model.graph)
     properties = list(model.metadata_props)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "graph.onnx"
-        if precision == "int8-static" and large.head_convolutions:
+        path, source = Path(folder) / "graph.onnx", Path(folder) / "float32.onnx"
+        # Products first: calibration needs copies of the graph, which are then four times smaller
+        # (over 2 GB they could not be made), and sees the values that the products really give.
+        if large.matrices:
+            onnx.save_model(model, source, save_as_external_data=True, location="weights")
+            integers.multiply_integers(source, large.matrices, path)
+            model = onnx.load(path)
+        if VARIANTS[precision].calibrated and large.head_convolutions:
             integers.calibrate_convolutions(model, large.head_convolutions, feeds, path)
             model = onnx.load(path)
-        if large.matrices:
-            integers.multiply_integers(model, large.matrices, path)
-            model = onnx.load(path)
-    del model.metadata_props[:]
-    model.metadata_props.extend(properties)
+    _set_properties(model, properties)
     storage.store_as_integers(model.graph, find_large(model.graph).convolved)
     return model
+
+
+def _looks_in_integers(model: onnx.ModelProto, feeds: Sequence[integers.Feeds]) -> onnx.ModelProto:
+    """Integer convolutions in the heads that decide on Gaussians' looks, places in float32.
+
+    Matrices are stored in 16 bits; convolutions that stay float32 are few, and faster as they are.
+    """
+    large = find_large(model.graph)
+    properties = list(model.metadata_props)
+    storage.store_as_long_integers(model, large.multiplied)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "graph.onnx"
+        if large.look_convolutions:
+            integers.calibrate_convolutions(model, large.look_convolutions, feeds, path)
+            model = onnx.load(path)
+    _set_properties(model, properties)
+    return model
+
+
+def _set_properties(
+    model: onnx.ModelProto, properties: Sequence[onnx.StringStringEntryProto]
+) -> None:
+    """Give back what a quantiser dropped."""
+    del model.metadata_props[:]
+    model.metadata_props.extend(properties)
 
 
 def _name_nodes(graph: onnx.GraphProto) -> None:
@@ -147,6 +177,8 @@ def _save(model: onnx.ModelProto, path: Path) -> None:
     external = sum(len(tensor.raw_data) for tensor in model.graph.initializer) > EXTERNAL_ABOVE
     location = f"{path.name}.data" if external else None
     onnx.save_model(model, path, save_as_external_data=external, location=location)
+    if location:  # it is made for its owner's eyes only
+        (path.parent / location).chmod(path.stat().st_mode & 0o777)
 
 
 @contextmanager

@@ -34,19 +34,20 @@ def pack_matrices(model: onnx.ModelProto, nodes: Sequence[str]) -> onnx.ModelPro
     return packed
 
 
-def multiply_integers(model: onnx.ModelProto, nodes: Sequence[str], path: Path) -> None:
+def multiply_integers(source: Path, nodes: Sequence[str], target: Path) -> None:
     """Matrix products in 8 bits: weights a scale a column, activations as they come.
 
     Args:
-        model: with float32 weights.
+        source: a graph with float32 weights, inside it or beside it. A graph in memory would be
+            copied twice, and one of over 2 GB would not fit a protobuf message.
         nodes: the products' names.
-        path: where the result is written.
+        target: where the result is written.
     """
     quantization = onnxruntime("quantization")
     with _quiet():
         quantization.quantize_dynamic(
-            model,
-            path,
+            source,
+            target,
             op_types_to_quantize=["MatMul"],
             per_channel=True,
             weight_type=quantization.QuantType.QInt8,
@@ -66,6 +67,7 @@ def calibrate_convolutions(
         path: where the result is written.
     """
     quantization = onnxruntime("quantization")
+    _own_inputs(model.graph, set(nodes))
     with _quiet():
         quantization.quantize_static(
             model,
@@ -78,6 +80,22 @@ def calibrate_convolutions(
             weight_type=quantization.QuantType.QInt8,
             nodes_to_quantize=list(nodes),
         )
+
+
+def _own_inputs(graph: onnx.GraphProto, names: set[str]) -> None:
+    """Give the chosen convolutions inputs that no other node reads, in place.
+
+    The quantiser rounds a value for all who read it: what stays float32 would read it rounded too.
+    """
+    chosen = [node for node in graph.node if node.name in names]
+    shared = {i for node in graph.node if node.name not in names for i in node.input}
+    for source in sorted({node.input[0] for node in chosen} & shared):
+        own = f"{source}/own"
+        readers = [node for node in chosen if node.input[0] == source]
+        for node in readers:
+            node.input[0] = own
+        first = min(list(graph.node).index(node) for node in readers)
+        graph.node.insert(first, onnx.helper.make_node("Identity", [source], [own]))
 
 
 class _Reader:

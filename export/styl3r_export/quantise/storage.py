@@ -1,4 +1,4 @@
-"""How weights are stored: half precision or 8-bit integers, widened to float32 where read."""
+"""How weights are stored: half precision, 8 or 16-bit integers, widened to float32 where read."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from styl3r_cli.errors import ModelError
 HALF_MIN_ELEMENTS = 16384
 HALF_MAX = float(np.finfo(np.float16).max)
 LARGEST_INT8 = 127  # symmetric: -128 is not used
+LARGEST_INT16 = 32767
 # What a widened weight is called: under the stored one's name, with this at its end.
 WIDENED = "/float32"
+MICROSOFT = "com.microsoft"  # its DequantizeLinear reads 16 bits in every operator set
 SCALE, INTEGERS = "/scale", "/integers"
 
 
@@ -95,6 +97,29 @@ def store_as_integers(graph: onnx.GraphProto, names: set[str]) -> None:
         _replace(graph, tensor, parts, nodes)
 
 
+def store_as_long_integers(model: onnx.ModelProto, names: set[str]) -> None:
+    """Store matrices as 16-bit integers and a scale an input channel, in place.
+
+    Ten times as exact as half precision where a row's values are of one size. DequantizeLinear is
+    what onnxruntime does not compute beforehand: a matrix is widened when it is used, for a tenth
+    of the product's time, and takes half the memory of float32.
+    """
+    for tensor in _named(model.graph, names):
+        values = numpy_helper.to_array(tensor)
+        integers, scales = to_integers(values, 0, LARGEST_INT16)
+        stored, scale = tensor.name + INTEGERS, tensor.name + SCALE
+        parts = [
+            numpy_helper.from_array(integers.astype(np.int16), stored),
+            numpy_helper.from_array(scales.reshape(-1), scale),
+        ]
+        node = helper.make_node(
+            "DequantizeLinear", [stored, scale], [tensor.name + WIDENED], axis=0, domain=MICROSOFT
+        )
+        _replace(model.graph, tensor, parts, [node])
+    if all(known.domain != MICROSOFT for known in model.opset_import):
+        model.opset_import.append(helper.make_opsetid(MICROSOFT, 1))
+
+
 def columns_out(graph: onnx.GraphProto) -> set[str]:
     """Weights of matrix products: their last axis is the output's, of convolutions it is the first.
 
@@ -106,11 +131,19 @@ def columns_out(graph: onnx.GraphProto) -> set[str]:
 def to_int8(
     values: npt.NDArray[np.float32], axis: int
 ) -> tuple[npt.NDArray[np.int8], npt.NDArray[np.float32]]:
-    """Integers and their scale along an axis, which has the same number of dimensions."""
+    """8-bit integers and their scale along an axis, which has the same number of dimensions."""
+    integers, scales = to_integers(values, axis, LARGEST_INT8)
+    return integers.astype(np.int8), scales
+
+
+def to_integers(
+    values: npt.NDArray[np.float32], axis: int, largest_integer: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Whole numbers up to a largest one, and their scale along an axis."""
     others = tuple(i for i in range(values.ndim) if i != axis)
     largest = np.abs(values).max(axis=others, keepdims=True)
-    scales = np.where(largest > 0, largest / LARGEST_INT8, 1).astype(np.float32)
-    return np.rint(values / scales).astype(np.int8), scales
+    scales = np.where(largest > 0, largest / largest_integer, 1).astype(np.float32)
+    return np.rint(values / scales), scales
 
 
 def _named(graph: onnx.GraphProto, names: set[str]) -> Iterator[onnx.TensorProto]:
