@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from styl3r_cli.cameras.recover import Recovered
-from styl3r_cli.footprints import without_gaps
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
 
@@ -63,11 +62,11 @@ class Painter:
             threads: None for every core.
             fitted: whether to fit at all.
 
-        Scales and colours of a model that trained both through a renderer are left as they are.
+        Colours of a model that trained them through a renderer are always left as they are.
         """
-        self.stylizer, self.recovered, self.threads = stylizer, recovered, threads
+        self.stylizer, self.scene, self.recovered = stylizer, scene, recovered
+        self.threads = threads
         self.pictures = stylizer.model.paints_pictures
-        self.scene = without_gaps(scene, recovered) if self.pictures else scene
         self.fitted = fitted and self.pictures
 
     def __call__(
