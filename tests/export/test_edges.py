@@ -96,9 +96,8 @@ def test_the_unit_of_length_does_not_matter() -> None:
     images, truth = scene()
     start = blurred(truth)
     far = Motion(SIDEWAYS.rotation, SIDEWAYS.translation * 8)
-    assert torch.equal(
-        snap(start * 8, far, images, lenses()), 8 * snap(start, SIDEWAYS, images, lenses())
-    )
+    found = snap(start * 8, far, images, lenses()) / snap(start, SIDEWAYS, images, lenses())
+    assert float((found / 8 - 1).abs().max()) < 1e-4
 
 
 def test_of_several_views_the_first_hears_all() -> None:

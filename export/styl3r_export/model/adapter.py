@@ -23,13 +23,14 @@ EPS = 1e-8
 LOG_DEPTH_MIN, LOG_DEPTH_MAX = -4.0, 5.0
 # Bounds of the predicted log error: 1.8 % to 150 %.
 LOG_ERROR_MIN, LOG_ERROR_MAX = -4.0, 0.4
-# Smallest standard deviation of mini's Gaussians, in pixels of the view that made them. Renderers
-# widen every Gaussian by a constant on the screen, so that points would do at the photos' size; a
-# frame of more pixels, or a viewer that makes small Gaussians as faint as they are, then shows a
-# lattice of dots. Pixels are 1 apart: from 0.5 on neighbours meet at any size (pixelSplat's least
-# scale, arXiv 2312.12337). Frames of four times the photos' size were covered to 79 % with 0.25, to
-# 94 % with 0.4 and to 98 % with 0.5; 0.6 costs another 0.2 dB at the photos' own size.
-FOOTPRINT_MIN = 0.5
+# Standard deviations of mini's Gaussians in pixels of the view that made them: what a head can ask
+# for at least, and what is made at least. Renderers widen every Gaussian by a constant on the
+# screen, so points would do at the photos' size; a frame of more pixels, or a viewer that makes
+# small Gaussians as faint as they are, then shows a lattice of dots. Pixels are 1 apart: from 0.5
+# on neighbours meet at any size (pixelSplat's least scale, arXiv 2312.12337). Frames of four times
+# the photos' size were covered to 79 % with 0.25, to 94 % with 0.4 and to 98 % with 0.5; 0.6 costs
+# another 0.2 dB at the photos' own size.
+FOOTPRINT_MIN, FOOTPRINT_LEAST = 0.25, 0.5
 
 
 class Geometry(NamedTuple):
@@ -129,9 +130,10 @@ def ray_geometry(
     turn = pose.rotation[:, :, None, None]
     points = pixel_rays(intrinsics, height, width) * depth[..., None]
     footprint = depth / (intrinsics[..., 0, 0, None, None] * width)
+    pixels = (FOOTPRINT_MIN + F.softplus(scale)).clamp_min(FOOTPRINT_LEAST)
     return Geometry(
         means=rotate_vectors(turn, points) + pose.centre[:, :, None, None],
-        scales=footprint[..., None] * (FOOTPRINT_MIN + F.softplus(scale)),
+        scales=footprint[..., None] * pixels,
         rotations=multiply_quaternions(turn, F.normalize(local, dim=-1)),
         opacities=opacity.squeeze(-1).sigmoid(),
     )

@@ -13,7 +13,7 @@ from styl3r_export.model.adapter import pixel_rays
 from styl3r_export.model.bundle import BothWays, both_ways
 from styl3r_export.model.matching import both_directions
 from styl3r_export.model.rotations import Motion, full_precision
-from styl3r_export.model.subpixel import around, comparable, grey
+from styl3r_export.model.subpixel import around, comparable, grey, within
 
 
 class Stage(NamedTuple):
@@ -37,6 +37,8 @@ ANOTHER, UNSEEN = 0.5, 0.4
 # The second number is added for a change by a third or more, in proportion for less.
 WORTH_A_MOVE, WORTH_FAR = 0.02, 0.02
 FAR = 0.3  # of log depth
+# Costs as close as that share the pixel: what hung on a last bit would differ between runtimes.
+CLOSE_CALL = 0.004
 # Square of the differences of brightness that are taken for an edge in the picture (He et al.).
 EDGE = 0.01
 # Keeps a point's projection finite when it is beside or behind the other camera.
@@ -84,7 +86,8 @@ def choose(
         candidates.unflatten(0, shape), looks.unflatten(0, shape), motion, intrinsics
     )
     costs = guided(costs, grey(small), stage.window) + prices(candidates)
-    best = candidates.gather(1, costs.argmin(1, keepdim=True))
+    shares = (-costs / CLOSE_CALL).softmax(dim=1)
+    best = (shares * candidates.log()).sum(dim=1, keepdim=True).exp()
     if stage.shrink > 1:
         larger = F.interpolate(
             torch.cat((best / own, candidates[:, 1:3]), dim=1), scale_factor=stage.shrink
@@ -120,13 +123,13 @@ def dissimilarity(
     own, other = both_directions(looks)
     lens, other_lens = both_directions(intrinsics)
     grid = seen_at(here, both_ways(motion), lens, other_lens)
-    unseen = (grid.abs() > 1).any(dim=-1)
+    seen = within(grid)
     # All choices below one another: one picture to sample serves them.
     sampled = F.grid_sample(
         other, grid.flatten(1, 2), align_corners=False, padding_mode="border"
-    ).unflatten(2, unseen.shape[1:3])
+    ).unflatten(2, seen.shape[1:3])
     unlike = (sampled - own[:, :, None]).abs().mean(dim=1) * (own.shape[1] / (COLOUR_WEIGHT * 3))
-    unlike = torch.where(unseen, UNSEEN, unlike.clamp_max(ANOTHER))
+    unlike = UNSEEN + seen * (unlike.clamp_max(ANOTHER) - UNSEEN)
     batch, others = candidates.shape[0], candidates.shape[1] - 1
     first, rest = unlike.unflatten(0, (2, batch, others)).unbind(0)
     return torch.cat((first.mean(dim=1, keepdim=True), rest), dim=1).flatten(0, 1)

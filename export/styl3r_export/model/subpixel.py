@@ -26,8 +26,11 @@ DAMPING = 0.001
 ALONE = 0.5
 # Difference (in deviations) at which a pixel loses half its weight: what one view alone sees.
 OUTLIER = 0.5
-# Longest step, and longest way altogether, in cells: whoever goes farther found something else.
-LONGEST_STEP, LONGEST_WAY = 0.15, 0.75
+# Longest step, in cells.
+LONGEST_STEP = 0.15
+# A cell that goes farther than the first, altogether, found something else: it comes back, wholly
+# from the second on. No choice here hangs on a last bit, or runtimes would disagree.
+LONG_WAY, LONGEST_WAY = 0.6, 0.8
 # Binomial: what is finer than a pixel's neighbours is noise and has no slope to follow.
 SMOOTHING = (0.25, 0.5, 0.25)
 
@@ -73,8 +76,10 @@ def settle(
         return (flow + change / (1 + length / LONGEST_STEP**2).sqrt(),)
 
     (flow,) = repeat(step, (start,), range(STEPS))
-    near = (flow - start).square().sum(dim=1, keepdim=True) < LONGEST_WAY**2
-    return Flows((*flows.rounds[:-1], torch.where(near, flow, start)), flows.log_spread)
+    way = flow - start
+    length = (way.square().sum(dim=1, keepdim=True) + LONGEST_STEP**2).sqrt()
+    kept = ((LONGEST_WAY - length) / (LONGEST_WAY - LONG_WAY)).clamp(0, 1)
+    return Flows((*flows.rounds[:-1], start + kept * way), flows.log_spread)
 
 
 def traceable(pictures: Float[Tensor, "n 3 H W"]) -> Float[Tensor, "n 1 H W"]:
@@ -118,14 +123,22 @@ def slope(x: Float[Tensor, "n 1 H W"]) -> Float[Tensor, "n 2 H W"]:
 def moved(
     target: Float[Tensor, "n 1 H W"], flow: Float[Tensor, "n 2 h w"]
 ) -> tuple[Float[Tensor, "n 1 H W"], Float[Tensor, "n 1 H W"]]:
-    """The target at each of the source's pixels, and whether it shows them at all (1 or 0)."""
+    """The target at each of the source's pixels, and whether it shows them (1 to 0)."""
     height, width = target.shape[-2:]
     fine = in_pixels(flow)
     x = (torch.arange(width, device=flow.device) + 0.5 + fine[:, 0]) / width
     y = (torch.arange(height, device=flow.device)[:, None] + 0.5 + fine[:, 1]) / height
     grid = 2 * torch.stack((x, y), dim=-1) - 1
-    inside = (grid.abs() < 1).all(dim=-1)[:, None].to(target.dtype)
-    return F.grid_sample(target, grid, align_corners=False, padding_mode="border"), inside
+    seen = F.grid_sample(target, grid, align_corners=False, padding_mode="border")
+    return seen, within(grid)[:, None]
+
+
+def within(grid: Float[Tensor, "*batch H W 2"]) -> Float[Tensor, "*batch H W"]:
+    """1 for places (-1 to 1) in a picture of this size, falling to 0 a pixel beyond its border."""
+    height, width = grid.shape[-3:-1]
+    x, y = grid.abs().unbind(dim=-1)
+    beyond = torch.maximum((x - 1) * (width / 2), (y - 1) * (height / 2))
+    return (1 - beyond).clamp(0, 1)
 
 
 def in_pixels(flow: Float[Tensor, "n 2 h w"]) -> Float[Tensor, "n 2 H W"]:
