@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
-from itertools import zip_longest
+from itertools import pairwise, takewhile, zip_longest
 from typing import NoReturn
 
 import click
@@ -169,6 +169,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         click.echo(error.format_message(), err=True)
         return ExitCode.USAGE
     except click.ClickException as error:
+        if _asks_for_json(sys.argv[1:] if arguments is None else arguments):
+            console.use_format("json")
         return _fail(_usage_message(error), ExitCode.USAGE)
     except (KeyboardInterrupt, click.Abort):
         return ExitCode.INTERRUPTED
@@ -196,6 +198,12 @@ def _usage_message(error: click.ClickException) -> str:
     context = getattr(error, "ctx", None)
     path = context.command_path if context else console.PROGRAM
     return f"{message} (see {path} --help)"
+
+
+def _asks_for_json(arguments: Sequence[str]) -> bool:
+    """Whether --log is in a command line that click gave up on before it came to that option."""
+    options = list(takewhile("--".__ne__, arguments))
+    return "--log=json" in options or ("--log", "json") in pairwise(options)
 
 
 def _fail(message: str, code: ExitCode) -> int:

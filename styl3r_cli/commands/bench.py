@@ -35,7 +35,9 @@ Frames per second of the splat renderer, by Gaussians, frame size and threads.
 
 Without SCENE, a scene that is the same on every machine is drawn. Repeats of all cases are
 interleaved and their medians printed. Where the extra 'export' is installed, the same formula
-written in plain torch stands beside it.
+written in plain torch stands beside it; and where Mitsuba 3 is (pip install mitsuba, and an LLVM
+that suits it), its frames of the same Gaussians, with one ray a pixel. No other kept package from
+pip was found that draws Gaussians without a GPU; gsplat does not.
 """
 
 
@@ -90,7 +92,7 @@ def command() -> None:
     default=TWIN_SECONDS,
     show_default=True,
     help="The longest frame that the torch twin draws; times of longer ones are foretold from a "
-    "few pixels and marked '~'. 0 leaves it out.",
+    "few pixels and marked '~'. Mitsuba's repeats end after so long. 0 leaves both out.",
 )
 @click.option(
     "--first-frame", is_flag=True, help="Also the first frame of a process without compiled code."
@@ -128,7 +130,9 @@ def render_command(
         console.note("without the torch twin; it needs: pip install 'styl3r[export]'")
     total = repeats * len(scenes) * len(cameras) * len(cores)
     with console.stage("frames", total) as done:
-        cases = timing.measure(scenes, cameras, list(cores), repeats, twin_seconds, done)
+        cases = timing.measure(
+            scenes, cameras, list(cores), repeats, twin_seconds, done, console.note
+        )
         rows = []
         for case in cases:
             row = case.row()
@@ -175,8 +179,10 @@ def _scenes(
 
 def _table(rows: list[dict[str, Any]]) -> str:
     """A line per case, with how many times faster than the twin it is."""
+    from styl3r_cli.splatting.timing import TWIN
+
     keys = ("gaussians", "width", "height", "threads")
-    twins = {tuple(r[k] for k in keys): r for r in rows if r["renderer"] != rows[0]["renderer"]}
+    twins = {tuple(r[k] for k in keys): r for r in rows if r["renderer"] == TWIN}
     lines = [
         f"{'':10}  Gaussians      frame  threads    ms a frame   ms of cores        fps   x twin"
     ]

@@ -18,6 +18,7 @@ import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.splatting import ray_traced
 from styl3r_cli.splatting.compiler import default_threads
 from styl3r_cli.splatting.renderer import render
 
@@ -126,6 +127,7 @@ def measure(
     repeats: int,
     twin_seconds: float,
     done: Callable[[], None] = lambda: None,
+    note: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Case]:
     """Time every combination, repeats interleaved, so that a busy minute strikes all alike.
 
@@ -135,8 +137,10 @@ def measure(
         threads: numbers of threads.
         repeats: how often; results are medians.
         twin_seconds: the twin draws whole frames of at most so many seconds, once; the time of
-            longer ones is foretold from a few pixels, all of which cost it the same.
+            longer ones is foretold from a few pixels, all of which cost it the same. Mitsuba's
+            repeats end then.
         done: called after each of the renderer's frames.
+        note: told why another path is missing.
     """
     cases = [Case(RENDERER, *each) for each in product(scenes, cameras, threads)]
     for case in cases:
@@ -149,6 +153,13 @@ def measure(
     if twin_seconds > 0 and has_twin():
         for scene, camera in product(scenes, cameras):
             yield _time_twin(Case(TWIN, scene, camera, max(threads)), twin_seconds)
+    if twin_seconds > 0 and ray_traced.is_installed():
+        others = [Case(ray_traced.NAME, *each, max(threads)) for each in product(scenes, cameras)]
+        try:
+            for case in others:
+                yield _time_ray_traced(case, repeats, twin_seconds)
+        except ray_traced.NoFrame as error:
+            note(f"without {ray_traced.NAME}: {error}")
 
 
 def has_twin() -> bool:
@@ -224,3 +235,9 @@ def _time_twin(case: Case, limit: float) -> Case:
         return _time(_draw_twin, case)
     worked = foretell(one.processor[0], some.processor[-1])
     return replace(case, seconds=[foretold], processor=[worked], foretold=True)
+
+
+def _time_ray_traced(case: Case, repeats: int, limit: float) -> Case:
+    taken = ray_traced.frame_seconds(case.scene, case.camera, case.threads, repeats, limit)
+    seconds, processor = ([*each] for each in zip(*taken, strict=True))
+    return replace(case, seconds=seconds, processor=processor)

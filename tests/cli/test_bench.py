@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +15,7 @@ from click.testing import CliRunner, Result
 from styl3r_cli.commands.bench import command
 from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.formats import write_scene
-from styl3r_cli.splatting import render, timing
+from styl3r_cli.splatting import ray_traced, render, timing
 
 
 def bench(*arguments: object) -> Result:
@@ -72,6 +75,57 @@ def test_the_twin_stands_beside_it(tmp_path: Path) -> None:
     result = bench(*once, "--sizes", 999, "--twin-seconds", 1e-9)
     assert result.exit_code == 0, result.output
     assert "~" in result.stdout.splitlines()[-1]
+
+
+def test_mitsuba_stands_beside_it_or_a_note_says_why_not(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    path = tmp_path / "times.json"
+    result = bench("--gaussians", 300, "--sizes", 24, "--repeats", 2, "--json", path)
+    assert result.exit_code == 0, result.output
+    rows = [r for r in json.loads(path.read_text())["rows"] if r["renderer"] == "Mitsuba 3"]
+    if "without Mitsuba 3: " in result.stderr:  # LLVM is none of pip's
+        assert rows == []
+        pytest.skip("no LLVM that suits Mitsuba")
+    assert [row["repeats"] for row in rows] == [2]
+    assert rows[0]["milliseconds"] > 0
+
+
+def test_a_mitsuba_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mitsuba.py").write_text("raise ImportError('no LLVM here')\n")
+    (tmp_path / "drjit.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    result = bench("--gaussians", 50, "--sizes", "16", "--threads", 1, "--repeats", 1)
+    assert result.exit_code == 0, result.output
+    assert "without Mitsuba 3: ImportError: no LLVM here" in result.stderr
+    assert "Mitsuba" not in result.stdout
+
+
+def test_mitsuba_draws_the_same_picture(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    scene, camera = timing.synthetic_scene(2000), timing.camera_of(96, 64)
+    np.savez(
+        tmp_path / "in.npz",
+        **{name: getattr(scene, name) for name in ray_traced.GAUSSIANS},
+        view=camera.extrinsics,
+    )
+    code = f"""
+import mitsuba, numpy as np
+mitsuba.set_variant("{ray_traced.VARIANT}")
+from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.splatting.ray_traced import GAUSSIANS, draw, to_mitsuba
+file = np.load("in.npz")
+scene = Gaussians(*(file[name] for name in GAUSSIANS))
+np.save("out.npy", draw(to_mitsuba(scene, file["view"], {camera.fx}, 96, 64), rays=64))
+"""
+    child = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=False)
+    if child.returncode:
+        pytest.skip("no LLVM that suits Mitsuba")
+    drawn = np.load(tmp_path / "out.npy")
+    ours = render(scene, camera).colour
+    mirrored = [np.abs(drawn - other).mean() for other in (ours[::-1], ours[:, ::-1])]
+    # Its Gaussians are not flattened onto the picture and not blurred: alike, but not the same.
+    assert np.abs(drawn - ours).mean() < 0.4 * min(mirrored)
 
 
 def test_a_scene_of_ones_own(tmp_path: Path) -> None:

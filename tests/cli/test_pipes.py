@@ -140,6 +140,29 @@ def test_the_environment_decides_about_wrong_command_lines_too(
     assert capsys.readouterr().err.startswith("styl3r: error: ")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "as_json"),
+    [
+        ("render --nonsense --log json", True),
+        ("render --log=json --nonsense", True),
+        ("render --log json", True),  # nothing to render
+        ("nonsense --log json", True),
+        ("render a.ply -o a.mp4 --log json --frames x", True),
+        ("render --nonsense --log text", False),
+        ("render --nonsense -- --log json", False),
+    ],
+)
+def test_wrong_command_lines_as_json(
+    arguments: str, as_json: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.run(arguments.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("{" if as_json else "styl3r: error: ")
+    if as_json:
+        (event,) = lines(line)
+        assert (event["event"], event["exit_code"]) == ("error", 2)
+
+
 def test_progress_as_json(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
