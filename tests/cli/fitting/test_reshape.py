@@ -82,8 +82,8 @@ def test_a_step_is_the_same_in_any_unit_of_length(
 def test_the_largest_scales_stay_finite(scene: Gaussians, cameras: list[Camera]) -> None:
     wrong = shrunk(scene, 0.9, 0.85)
     targets = [Target.of(each) for each in look(scene, cameras[:1], 1)]
-    unit = 3.3e38 / float(wrong.scales.max())
-    largest = replace(wrong, scales=(wrong.scales * unit).astype(np.float32))
+    unit = 3.4e38 / float(wrong.scales.max())
+    largest = replace(wrong, scales=(wrong.scales * np.float64(unit)).astype(np.float32))
     sizes = np.full(len(scene), 1e-3 * unit)
     made = reshape(largest, look(wrong, cameras[:1], 1), targets, sizes, 6, 1)
     assert np.isfinite(made.scales).all()
