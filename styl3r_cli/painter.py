@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # they bring numba, which takes a while
 # Steps of the colours' least squares. On real pairs the third still sharpens pictures from new
 # cameras, the fourth and fifth only those from the views' own.
 FIT_STEPS = 3
+# Shapes of merged Gaussians are left as they are: fitting them takes as long again.
+RESHAPES = 0
 # How much strokes are sharpened before they are drawn, over their difference from a blur of
 # EMPHASIS_BLUR pixels. Of 0.2 to 0.8 what brings the drawn frames' texture closest to the 2D
 # stylizer's, without halos; fitting sharpens on its own.
@@ -104,7 +106,7 @@ class Painter:
         if len(gaussians) == len(compactor.known.scene):
             return compactor.keep_decibels(gaussians.colours, decibels)
         cameras = witnesses(self.recovered.cameras, gaussians)  # some had no finite colour
-        compactor = Compactor(gaussians, cameras, self.threads, reshapes=0)
+        compactor = Compactor(gaussians, cameras, self.threads, reshapes=RESHAPES)
         return compactor.keep_decibels(gaussians.colours, decibels)
 
     @cached_property
@@ -114,7 +116,7 @@ class Painter:
         plain, _ = assemble(self.scene, self.scene.images.transpose(0, 2, 3, 1))
         traced = self._fit.traced if self.fitted else []
         cameras = witnesses(self.recovered.cameras, plain)
-        return Compactor(plain, cameras, self.threads, traced, reshapes=0)
+        return Compactor(plain, cameras, self.threads, traced, reshapes=RESHAPES)
 
     @cached_property
     def _overlaps(self) -> Overlaps:
@@ -157,10 +159,11 @@ def warm_up(compact: bool = False) -> None:
             _fitted(dot, _look(dot, [camera], 1), [three], 1)
         if compact:
             with suppress(Exception):
-                from styl3r_cli.compaction import keep_count
+                from styl3r_cli.compaction import Compactor
 
                 dots = dot.select(np.zeros(3, np.intp))
-                keep_count(dots, [camera], 2, 1)
+                compactor = Compactor(dots, [camera], 1, reshapes=RESHAPES)
+                compactor.keep_count(dots.colours, 2)
 
     threading.Thread(target=load, name="warm up").start()
 

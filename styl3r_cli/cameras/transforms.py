@@ -123,6 +123,13 @@ def transforms_of(
     return CameraFile(cameras, file_paths, notes, fps, loop if isinstance(loop, bool) else None)
 
 
+def known_cameras(source: Path, photos: Sequence[Path]) -> tuple[dict[Path, Camera], list[str]]:
+    """The cameras of photos from a camera file; see `read_transforms` and `cameras_of_photos`."""
+    file = read_transforms(source)
+    found, missing = cameras_of_photos(file, photos, str(source))
+    return found, [*file.notes, *missing]
+
+
 def cameras_of_photos(
     file: CameraFile, photos: Sequence[Path], name: str = "the camera file"
 ) -> tuple[dict[Path, Camera], list[str]]:

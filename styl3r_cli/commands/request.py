@@ -214,9 +214,8 @@ def _known_cameras(
     """The photos' intrinsics from a camera file, if one was given."""
     if request.cameras is None:
         return None
-    from styl3r_cli.cameras.transforms import cameras_of_photos, read_transforms
+    from styl3r_cli.cameras.transforms import known_cameras
 
-    file = read_transforms(request.cameras)
-    found, missing = cameras_of_photos(file, photos, str(request.cameras))
-    notes += [*file.notes, *missing]
+    found, told = known_cameras(request.cameras, photos)
+    notes += told
     return found

@@ -10,7 +10,7 @@ from styl3r_cli.commands.bench import ListOf
 from styl3r_cli.commands.options import FILE, Number, UserPath, quiet_option
 from styl3r_cli.tradeoff.points import COLOURS, DRAWINGS
 
-PRECISIONS = ("w8", "w4", "int8", "int8-static")
+PRECISIONS = ("w8", "w4", "int8", "int8-static", "mixed")
 SIZES = (256, 224, 192, 160, 128)
 BUDGETS = (100.0, 50.0, 25.0, 10.0, 5.0, 2.0)
 REPEATS = 3
@@ -21,6 +21,7 @@ Measure what speed costs in accuracy on this machine, with these photos.
 \b
   styl3r tradeoff photos/ --style art.jpg -o report/
   styl3r tradeoff photos/ --style art.jpg --holdout other/ -o report/
+  styl3r tradeoff photos/ --cameras transforms.json -o report/
   styl3r tradeoff photos/ -o report/ --precisions w8,int8 --sizes 256,128 --budgets 100,10 --grid
 
 Each dial (precision of the graphs, size of the photos, number of views, share of the Gaussians,
@@ -33,7 +34,12 @@ The report is index.html (table, plots, pictures), tradeoff.csv and tradeoff.jso
 goes on where an interrupted one stopped; Ctrl-C writes the report of what there is.
 
 Agreement is PSNR against the first of all values. A precision below 30 dB in any view, or one that
-gives no finite scene, is shown as rejected and never recommended.
+gives no finite scene, is shown as rejected and never recommended. With --holdout, PSNR and SSIM of
+pictures from the held-out photos' places are there too, with --cameras how far the found cameras
+are off: in degrees, as medians over the views, from the first view. Depth is not: photos and their
+cameras do not say how far away things are. Nor is LPIPS: it takes a network whose weights do not
+come with styl3r. And bfloat16 is no precision here: onnxruntime has no convolutions and matrix
+products in it for CPUs.
 """
 
 
@@ -49,6 +55,13 @@ gives no finite scene, is shown as rejected and never recommended.
     multiple=True,
     metavar="FOLDER|PHOTO",
     help="Photos of the same scene that the network does not get, to compare with as truth.",
+)
+@click.option(
+    "--cameras",
+    type=UserPath(),
+    metavar="TRANSFORMS.json",
+    help="Where the photos were taken from, to compare the found cameras with; focal lengths in it "
+    "are used as `stylize --cameras` does.",
 )
 @click.option(
     "--model",

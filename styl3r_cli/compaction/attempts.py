@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.compaction.compaction import SQUARED_8BIT_STEP, decibels
-from styl3r_cli.compaction.cuts import Cut
+from styl3r_cli.compaction.cuts import Cut, Splits
 from styl3r_cli.compaction.merging import merge
 from styl3r_cli.compaction.survey import Survey, pixel_sizes
+from styl3r_cli.compaction.tree import Tree
 from styl3r_cli.fitting.refit import Target, refit, squared_errors
 from styl3r_cli.fitting.reshape import reshape
 from styl3r_cli.fitting.tracing import Trace, look
@@ -54,9 +55,10 @@ class Attempt:
         """PSNR at the witness that differs most."""
         return min(self.decibels)
 
-    def corrections(self, foretold: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(K,) measured errors over those that the tree's (N,) foretold."""
-        return self.errors / np.maximum(foretold[self.cut.nodes], SQUARED_8BIT_STEP)
+    def splits(self, tree: Tree) -> Splits:
+        """What refines its cut: split first where more errors were measured than foretold."""
+        foretold = np.maximum(tree.errors[self.cut.nodes], SQUARED_8BIT_STEP)
+        return Splits.of(tree, self.cut, self.errors / foretold)
 
 
 def merge_cut(known: Survey, cut: Cut, threads: int | None) -> Merged:

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.compaction import counts
 from styl3r_cli.compaction.attempts import Attempt, Merged, attempt, merge_cut, reshaped
 from styl3r_cli.compaction.compaction import DROPPED, Compaction, decibels, everything
 from styl3r_cli.compaction.cuts import Splits
 from styl3r_cli.compaction.survey import survey
+from styl3r_cli.compaction.tree import Tree
 from styl3r_cli.fitting.refit import Target, squared_errors
 from styl3r_cli.fitting.tracing import Trace, look
 from styl3r_cli.gaussians import FloatArray, Gaussians
@@ -26,12 +28,6 @@ REFIT_STEPS, ROUGH_STEPS = 3, 1
 BEGIN_SHARE, BEGIN_BELOW, REFINED = 0.6, 6.0, 2.0
 # Shapes are fitted so often; that gains so many decibels, at least. It takes as long again.
 RESHAPES, RESHAPED = 2, 4.0
-# Errors shrink a little more slowly than foretold; and what is aimed at above what was asked for
-# makes most second attempts the last.
-OPTIMISM, MARGIN = 1.1, 0.3
-LEAST_STEP, LARGEST_STEP = 1.01, 2.5
-LEAST_SLOPE = 2.0  # decibels per doubling: what two attempts that hardly differ are taken for
-USUAL_SLOPE = 8.0  # measured, 6 from 8 % of a scene to a quarter, 10 from that to half
 WASTE = 2.0  # decibels too many are worth one more attempt
 FINE = 0.97  # a share of what is known to do that is no longer worth an attempt
 MOST_ATTEMPTS = 8
@@ -85,7 +81,7 @@ class Compactor:
         targets, shown = known.targets(colours), self._shown(colours)
         most = len(known.seen)
         gain = RESHAPED if self.reshapes else 0.0
-        count = self._splits(None).count_for(_error(targets, target - BEGIN_BELOW - gain))
+        count = counts.foretold(known.tree, targets, target - BEGIN_BELOW - gain)
         failed: list[Attempt] = []
         done: Attempt | None = None
         rough: Attempt | None = None
@@ -105,9 +101,9 @@ class Compactor:
             elif made is not rough:
                 failed.append(made)
             if done is None and not failed:
-                count = self._more(rough, target - REFINED - gain)
+                count = counts.more(known.tree, rough, target - REFINED - gain)
             else:
-                count = self._next(failed, done, target)
+                count = counts.better(known.tree, failed, done, target)
         if done is not None:
             return self._result(done)
         result = self.without_unseen(colours)
@@ -153,10 +149,12 @@ class Compactor:
         targets: Sequence[Target],
         steps: int,
     ) -> Attempt:
+        tree = self.known.tree
+        assert tree is not None
         if above is None:
-            merged = self._first(count)
+            merged = self._first(tree, count)
         else:
-            merged = merge_cut(self.known, self._splits(above).cut(count), self.threads)
+            merged = merge_cut(self.known, above.splits(tree).cut(count), self.threads)
         return attempt(self.known, merged, colours, targets, steps, self.threads)
 
     def _reshaped(self, made: Attempt, targets: Sequence[Target], enough: float) -> Attempt:
@@ -170,43 +168,12 @@ class Compactor:
             made = better
         return made
 
-    def _first(self, count: int) -> Merged:
+    def _first(self, tree: Tree, count: int) -> Merged:
         """A cut as the tree has it: all colours begin with the same one."""
         if self._begun is None or self._begun[0] != count:
-            merged = merge_cut(self.known, self._splits(None).cut(count), self.threads)
+            merged = merge_cut(self.known, Splits.of(tree).cut(count), self.threads)
             self._begun = count, merged
         return self._begun[1]
-
-    def _splits(self, above: Attempt | None) -> Splits:
-        tree = self.known.tree
-        assert tree is not None
-        if above is None:
-            return Splits.of(tree)
-        return Splits.of(tree, above.cut, above.corrections(tree.errors))
-
-    def _next(self, failed: Sequence[Attempt], done: Attempt | None, target: float) -> int:
-        """How many Gaussians to try after attempts that did not do, or did far too well."""
-        if done is not None:
-            return _between(failed[-1], done, target) if failed else self._fewer(done, target)
-        if len(failed) > 1:
-            return _between(failed[-2], failed[-1], target)
-        few = len(failed[0].gaussians)
-        doublings = (target + MARGIN - failed[0].worst) / USUAL_SLOPE
-        return _step(failed[0], few * 2**doublings)
-
-    def _more(self, failed: Attempt, target: float) -> int:
-        """How many should do, by the errors of a rough attempt."""
-        lacking = OPTIMISM * (target - failed.worst) + MARGIN
-        error = float(failed.errors.sum()) * 10 ** (-0.1 * lacking)
-        return _step(failed, self._splits(failed).count_for(error))
-
-    def _fewer(self, made: Attempt, target: float) -> int:
-        """How many should nearly do, by an attempt that did far too well."""
-        tree = self.known.tree
-        assert tree is not None
-        excess = OPTIMISM * (made.worst - target) + MARGIN
-        foretold = float(tree.errors[made.cut.nodes].sum())
-        return self._splits(None).count_for(foretold * 10 ** (0.1 * excess))
 
     def _result(self, made: Attempt) -> Compaction:
         labels = np.full(len(self.known.scene), DROPPED, np.int64)
@@ -242,26 +209,3 @@ def _decibels(
     traces = look(scene, cameras, threads)
     pairs = zip(targets, traces, strict=True)
     return decibels([squared_errors(target, each.picture, each.through) for target, each in pairs])
-
-
-def _error(targets: Sequence[Target], decibels: float) -> float:
-    """The sum of squared errors of frames that differ by so many decibels."""
-    return sum(each.picture.size for each in targets) * 10 ** (-0.1 * decibels)
-
-
-def _between(one: Attempt, two: Attempt, target: float) -> int:
-    """Where decibels over the logarithm of the count, a line through two attempts, meet a target.
-
-    The line goes on beyond the second.
-    """
-    few, many = len(one.gaussians), len(two.gaussians)
-    slope = max((two.worst - one.worst) / math.log2(many / few), LEAST_SLOPE)
-    nearer = two if two.worst < target else one
-    lacking = target + MARGIN - nearer.worst
-    return _step(nearer, len(nearer.gaussians) * 2 ** (lacking / slope))
-
-
-def _step(failed: Attempt, count: float) -> int:
-    """A count within reach of a failed attempt's."""
-    few = len(failed.gaussians)
-    return math.ceil(min(max(count, LEAST_STEP * few), LARGEST_STEP * few)) + 1

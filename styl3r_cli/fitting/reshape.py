@@ -35,6 +35,7 @@ VEIL_WEIGHT = np.float32(math.sqrt(3) * 0.5)
 DAMPING, LEAST_CURVATURE = np.float32(0.05), np.float32(1e-3)
 # The frames are straight lines in the unknowns only nearby.
 MOST_OPAQUE_CHANGE, MOST_SCALE_CHANGE = 0.5, 0.3
+LARGEST = np.float32(2.0**127)  # of scales, so that none becomes infinite
 
 
 @dataclass(frozen=True)
@@ -113,8 +114,8 @@ def reshape(
         steps: of the iteration.
         threads: None for every core.
     """
-    area = np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1)
-    own = (area / (area + DILATION * np.square(pixel_sizes))).astype(np.float32)
+    widths = np.sort(gaussians.scales, axis=1)[:, 1:] / pixel_sizes.astype(np.float64)[:, None]
+    own = (1 - DILATION / (widths.prod(axis=1) + DILATION)).astype(np.float32)
     with ThreadPoolExecutor(default_threads() if threads is None else max(1, threads)) as pool:
 
         def each(work: Callable[[int], FloatArray]) -> FloatArray:
@@ -143,7 +144,7 @@ def _changed(gaussians: Gaussians, change: FloatArray) -> Gaussians:
     larger = np.exp(np.clip(change[:, SCALE], -MOST_SCALE_CHANGE, MOST_SCALE_CHANGE))
     return replace(
         gaussians,
-        scales=gaussians.scales * larger[:, None],
+        scales=np.minimum(gaussians.scales, LARGEST / larger[:, None]) * larger[:, None],
         opacities=np.minimum(gaussians.opacities * opaque, np.float32(ALPHA_MAX)),
         colours=np.clip(colours + change[:, :OPACITY], low, high).astype(np.float32),
     )

@@ -29,6 +29,7 @@ class Bench:
         frame: (width, height) of the pictures that are compared.
         models: the model folder of each precision.
         held_out: poses of held-out photos and of the views in one world, or None.
+        cameras: a file of the photos' true cameras, or None; their lenses are the network's too.
         results: by point and repeat.
     """
 
@@ -39,6 +40,7 @@ class Bench:
     frame: tuple[int, int]
     models: dict[str, str]
     held_out: dict[str, Any] | None = None
+    cameras: Path | None = None
     results: dict[tuple[str, int], dict[str, Any]] = field(default_factory=dict)
 
     def fingerprint(self) -> str:
@@ -49,7 +51,9 @@ class Bench:
             name: hashlib.sha256((Path(folder) / "manifest.json").read_bytes()).hexdigest()
             for name, folder in self.models.items()
         }
-        text = json.dumps([told, self.fov, self.frame, models, self.held_out], sort_keys=True)
+        cameras = self.cameras and hashlib.sha256(self.cameras.read_bytes()).hexdigest()
+        inputs = [told, self.fov, self.frame, models, self.held_out, cameras]
+        text = json.dumps(inputs, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def resume(self) -> bool:
@@ -112,6 +116,7 @@ class Bench:
             "frame": self.frame,
             "model": self.models[point.precision],
             "held_out": self.held_out,
+            "cameras": str(self.cameras) if self.cameras else None,
             "pictures": str(self.arrays_of(point)) if repeat == 0 else None,
         }
 

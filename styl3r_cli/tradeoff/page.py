@@ -57,7 +57,8 @@ def make_page(
         "<p>Agreement is the PSNR of pictures against the reference's (the first row), at the "
         "photos' cameras and halfway between them; 'worst' is the view that agrees least. A "
         f"precision below {BROKEN_DB:g} dB there breaks the scene: it is struck out and never "
-        "recommended. Seconds are medians of repeats after a warm-up.</p>",
+        "recommended. Seconds are medians of repeats after a warm-up. Cameras: how far rotations "
+        "and directions of motion from the first view are off, medians over the others.</p>",
         f"<h2>Plots</h2>{without}<div class=plots>{''.join(drawn)}</div>",
         "<h2>Pictures</h2><p>Each setting's worst view: the setting, the reference, and their "
         f"difference {ERROR_GAIN} times enlarged.</p>",
@@ -83,7 +84,7 @@ def _table(rows: Sequence[Row]) -> str:
         f"<th>{name}"
         for name in (
             *("setting", "structure", "appearance", "compact", "frame", "memory", "file", "model"),
-            *("Gaussians", "input views", "novel views", "SSIM", "held out"),
+            *("Gaussians", "input views", "novel views", "SSIM", "held out", "cameras"),
             *(f"{name} error" for name in ATTRIBUTES),
         )
     )
@@ -93,7 +94,7 @@ def _table(rows: Sequence[Row]) -> str:
 def _line(row: Row, reference: Row) -> str:
     name = escape(plots.turned(row, reference))
     if row.failed:
-        return f"<tr class=rejected><td>{name}<td colspan=17>{escape(row.failed)}"
+        return f"<tr class=rejected><td>{name}<td colspan=18>{escape(row.failed)}"
     s = row.seconds
     cells = [f"{s[stage]:.3f} s" for stage in ("structure", "appearance", "compact")]
     cells.append(f"{1e3 * s['frame']:.0f} ms")
@@ -104,6 +105,7 @@ def _line(row: Row, reference: Row) -> str:
         cells.append(f"{min(seen):.1f} dB" if seen else "")
     cells.append(f"{min(view.ssim for view in row.views):.4f}" if row.views else "")
     cells.append(f"{statistics.median(v for v, _ in row.truth):.1f} dB" if row.truth else "")
+    cells.append("{:.2f}°, {:.2f}°".format(*row.camera_error) if row.camera_error else "")
     cells += [
         f"{row.attributes[a].relative:.1e} ({row.attributes[a].largest:.1e})"
         if row.attributes

@@ -7,9 +7,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.recover import recover
+from styl3r_cli.cameras.transforms import known_cameras
 from styl3r_cli.console import Console
-from styl3r_cli.errors import ModelError
+from styl3r_cli.errors import InputError, ModelError
 from styl3r_cli.graphs import find
 from styl3r_cli.manifest import MANIFEST, read_manifest
 from styl3r_cli.photos import load_photos, load_style
@@ -75,12 +77,34 @@ def _make(
     convert_folder(source, target, precision, samples, verify=False)
 
 
+def true_cameras(
+    source: Path | None, photos: Sequence[Path], console: Console
+) -> list[Camera | None]:
+    """Where each photo was taken from, as a file says; empty without one.
+
+    Raises:
+        InputError: it cannot be read, or does not know the first photo's camera and another's.
+    """
+    if source is None:
+        return []
+    found, notes = known_cameras(source, photos)
+    if photos[0] not in found or len(found) == 1:
+        raise InputError(
+            f"{source}: errors are relative to the first photo; "
+            f"the file must have cameras for {photos[0].name} and another one"
+        )
+    for note in notes:
+        console.note(note)
+    return [found.get(photo) for photo in photos]
+
+
 def held_out_poses(
     model: str,
     photos: Sequence[Path],
     held_out: Sequence[Path],
     size: int,
     fov: float | None,
+    cameras: Path | None,
     threads: int | None,
 ) -> dict[str, Any]:
     """Where the held-out photos were taken, by the model as given, which sees all photos for it.
@@ -90,7 +114,9 @@ def held_out_poses(
     Returns:
         World-to-camera matrices of the views and of the held-out photos, in one world.
     """
-    everything = load_photos([*photos, *held_out], (size, size), fov)
+    paths = [*photos, *held_out]
+    known = known_cameras(cameras, paths)[0] if cameras else None
+    everything = load_photos(paths, (size, size), fov, known)
     scene = Stylizer(model, "cpu", threads).encode(everything)
     found = recover(scene.means, scene.opacities, scene.intrinsics, everything.focals_measured)
     poses = [camera.extrinsics.tolist() for camera in found.cameras]

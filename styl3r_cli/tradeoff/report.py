@@ -26,7 +26,7 @@ from styl3r_cli.sessions import available_cores
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.page import make_page
 from styl3r_cli.tradeoff.points import GIVEN, Dials, Point
-from styl3r_cli.tradeoff.prepare import held_out_poses, model_folders
+from styl3r_cli.tradeoff.prepare import held_out_poses, model_folders, true_cameras
 from styl3r_cli.tradeoff.rows import Advice, Row, advise, collect, flags
 from styl3r_cli.tradeoff.tables import plain, to_csv, to_text
 
@@ -43,6 +43,7 @@ class Request:
     styles: tuple[Path, ...]
     output: Path
     holdout: tuple[str, ...]
+    cameras: Path | None
     model: str
     precisions: tuple[str, ...]
     sizes: tuple[int, ...]
@@ -67,13 +68,14 @@ def run(request: Request) -> None:
     console = Console(request.quiet)
     photos = expand(request.photos, [])
     check(request, photos)
+    cameras = true_cameras(request.cameras, photos, console)
     work = request.output / WORK
     try:
         work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot make the folder {work}: {error.strerror}") from error
     results = [request.output / name for name in (PAGE, CSV, JSON)]
-    check_outputs(results, [*photos, *request.styles], prints=True)
+    check_outputs(results, [*photos, *_files(request)], prints=True)
     folders = model_folders(
         request.model, request.precisions, work, photos, request.styles, console
     )
@@ -81,7 +83,9 @@ def run(request: Request) -> None:
     points = dials.points(request.grid)
     truths, poses = _held_out(request, photos, dials.reference, console)
     side = dials.reference.size
-    bench = Bench(work, photos, request.styles, request.fov, (side, side), folders, poses)
+    bench = Bench(
+        *(work, photos, request.styles, request.fov, (side, side), folders, poses, request.cameras)
+    )
     if bench.resume():
         console.note(f"{request.output}: goes on with what was measured before")
     interrupted = None
@@ -90,7 +94,7 @@ def run(request: Request) -> None:
             bench.run(points, request.repeats, done)
     except KeyboardInterrupt as error:
         interrupted = error
-    rows = collect(bench, points, truths)
+    rows = collect(bench, points, truths, cameras)
     if rows and not rows[0].failed:
         write(request, bench, rows)
     elif rows:
@@ -117,8 +121,14 @@ def check(request: Request, photos: Sequence[Path]) -> None:
     for style in request.styles:
         if not style.exists():
             raise InputError(f"{style}: no such style picture")
-        if is_pipe(style):  # each measurement reads it anew
-            raise InputError(f"{style}: a pipe; a trade-off takes styles from files")
+    for path in _files(request):
+        if is_pipe(path):  # each measurement reads it anew
+            raise InputError(f"{path}: a pipe; a trade-off reads files")
+
+
+def _files(request: Request) -> list[Path]:
+    """What is read beside the photos."""
+    return [*request.styles, *([] if request.cameras is None else [request.cameras])]
 
 
 def make_dials(request: Request, photos: int, precisions: Sequence[str]) -> Dials:
@@ -149,7 +159,8 @@ def _held_out(
     loaded = load_photos([photos[0], *paths], (size, size), request.fov)
     truths = [to_picture(image.transpose(1, 2, 0)) for image in loaded.images[1:]]
     with console.stage("held-out photos"):
-        poses = held_out_poses(request.model, photos, paths, size, request.fov, reference.threads)
+        settings = size, request.fov, request.cameras, reference.threads
+        poses = held_out_poses(request.model, photos, paths, *settings)
     return truths, poses
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.frames import Picture
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.picture_metrics import psnr, ssim
@@ -17,6 +18,7 @@ from styl3r_cli.tradeoff.agreement import (
     BROKEN_DB,
     Difference,
     View,
+    camera_errors,
     compare_pictures,
     differences,
     unit,
@@ -47,6 +49,7 @@ class Row:
         attributes: how far the Gaussians are off, where they correspond.
         views: how alike its pictures are to the reference's.
         truth: PSNR and SSIM at each held-out photo.
+        cameras: degrees by which each further view's rotation and direction are off, where known.
         failed: why there is nothing to show, or "".
     """
 
@@ -60,7 +63,16 @@ class Row:
     attributes: dict[str, Difference] = field(default_factory=dict)
     views: list[View] = field(default_factory=list)
     truth: list[tuple[float, float]] = field(default_factory=list)
+    cameras: list[tuple[float, float]] = field(default_factory=list)
     failed: str = ""
+
+    @property
+    def camera_error(self) -> tuple[float, float] | None:
+        """Medians over views of both errors of cameras; None where none is known."""
+        if not self.cameras:
+            return None
+        turns, directions = zip(*self.cameras, strict=True)
+        return statistics.median(turns), statistics.median(directions)
 
     @property
     def worst(self) -> float:
@@ -73,8 +85,20 @@ class Row:
         return bool(self.failed) or (lower and not self.worst >= BROKEN_DB)
 
 
-def collect(bench: Bench, points: Sequence[Point], held_out: Sequence[Picture]) -> list[Row]:
-    """A row for each point that has been measured, the reference first."""
+def collect(
+    bench: Bench,
+    points: Sequence[Point],
+    held_out: Sequence[Picture],
+    cameras: Sequence[Camera | None] = (),
+) -> list[Row]:
+    """A row for each point that has been measured, the reference first.
+
+    Args:
+        bench: what was measured.
+        points: all of them.
+        held_out: photos to compare with.
+        cameras: the photos' true ones.
+    """
     reference = _arrays(bench, points[0])
     rows = []
     for point in points:
@@ -84,7 +108,7 @@ def collect(bench: Bench, points: Sequence[Point], held_out: Sequence[Picture]) 
         if "failed" in results[0]:
             rows.append(Row(point, failed=results[0]["failed"]))
             continue
-        rows.append(_row(bench, point, results, reference, held_out))
+        rows.append(_row(bench, point, results, reference, held_out, cameras))
     return rows
 
 
@@ -94,6 +118,7 @@ def _row(
     results: Sequence[dict[str, Any]],
     reference: dict[str, np.ndarray] | None,
     held_out: Sequence[Picture],
+    cameras: Sequence[Camera | None],
 ) -> Row:
     stages = results[0]["seconds"]
     seconds = {s: statistics.median(r["seconds"][s] for r in results) for s in stages}
@@ -112,6 +137,7 @@ def _row(
         return row
     row.attributes = differences(_gaussians(made), _gaussians(reference))
     row.views = _views(made, reference)
+    row.cameras = camera_errors(list(made["poses"]), cameras)
     pairs = zip(made.get("held_out", []), held_out, strict=False)
     row.truth = [(psnr(unit(a), unit(b)), ssim(unit(a), unit(b))) for a, b in pairs]
     return row

@@ -33,6 +33,8 @@ def plain(row: Row, reference: Point) -> dict[str, Any]:
     if row.truth:
         found["truth_psnr"] = statistics.median(value for value, _ in row.truth)
         found["truth_ssim"] = statistics.median(value for _, value in row.truth)
+    if row.camera_error:
+        found["camera_rotation_degrees"], found["camera_direction_degrees"] = row.camera_error
     return found
 
 
@@ -53,7 +55,7 @@ def to_text(rows: Sequence[Row]) -> str:
         f"{'precision':12}{'size':>5}{'views':>6}{'kept':>7}{'drawn':>10}{'cores':>6}"
         f"{'colours':>8}"
         f"{'structure':>11}{'appearance':>12}{'compact':>9}{'frame':>8}{'memory':>9}{'scene':>9}"
-        f"{'worst':>9}{'truth':>9}"
+        f"{'worst':>9}{'truth':>9}{'cameras':>15}"
     )
     lines = [head]
     for row in rows:
@@ -67,10 +69,11 @@ def to_text(rows: Sequence[Row]) -> str:
             continue
         s = row.seconds
         truth = f"{statistics.median(v for v, _ in row.truth):6.1f} dB" if row.truth else ""
+        off = "{:7.2f},{:6.2f}°".format(*row.camera_error) if row.camera_error else ""
         mark = "  rejected" if row.rejected(rows[0].point) else ""
         lines.append(
             f"{start}{s['structure']:9.3f} s{s['appearance']:10.3f} s{s['compact']:7.2f} s"
             f"{1e3 * s['frame']:5.0f} ms{row.memory / MEGABYTE:6.0f} MB"
-            f"{row.bytes / MEGABYTE:6.1f} MB{row.worst:6.1f} dB{truth:>9}{mark}"
+            f"{row.bytes / MEGABYTE:6.1f} MB{row.worst:6.1f} dB{truth:>9}{off:>15}{mark}"
         )
     return "\n".join(lines)

@@ -16,6 +16,7 @@ import numpy as np
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import recover
+from styl3r_cli.cameras.transforms import known_cameras
 from styl3r_cli.errors import Styl3rError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.formats import encode_scene
@@ -58,7 +59,8 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
     threads = point["threads"]
     with watch("photos"):
         paths = [Path(name) for name in job["photos"][: point["views"]]]
-        photos = load_photos(paths, (point["size"], point["size"]), job["fov"])
+        known = known_cameras(Path(job["cameras"]), paths)[0] if job["cameras"] else None
+        photos = load_photos(paths, (point["size"], point["size"]), job["fov"], known)
         styles = [load_style(Path(name)).image for name in job["styles"]]
     with watch("load"):
         stylizer = Stylizer(job["model"], "cpu", threads)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,8 +13,9 @@ import pytest
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.compaction import search
 from styl3r_cli.gaussians import FloatArray
-from styl3r_cli.painter import Painter
+from styl3r_cli.painter import Painter, warm_up
 from styl3r_cli.picture_metrics import psnr
 from styl3r_cli.pipeline import Scene, Stylizer, assemble
 from styl3r_cli.splatting import render
@@ -113,6 +116,26 @@ def test_only_colours_change_and_they_stay_in_range(
         np.testing.assert_array_equal(getattr(fitted, name), getattr(plain, name))
     assert 0 <= fitted.colours.min() <= fitted.colours.max() <= 1
     assert str(repairs) == ""
+
+
+def test_warming_up_loads_what_stylizing_uses_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    used = []
+
+    def noted(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
+        def do(*given: Any) -> Any:
+            result = work(*given)
+            used.append(name)
+            return result
+
+        return do
+
+    for name in ("attempt", "reshaped"):
+        monkeypatch.setattr(search, name, noted(name, getattr(search, name)))
+    warm_up(compact=True)
+    for thread in threading.enumerate():
+        if thread.name == "warm up":
+            thread.join()
+    assert set(used) == {"attempt"}
 
 
 def test_a_second_style_is_fitted_as_if_it_were_the_first(

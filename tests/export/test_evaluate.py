@@ -14,13 +14,14 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from striped_scene import FOCAL, SIDE, write_scene
 
+from styl3r_cli.cameras.pose_errors import direction_error, rotation_error
 from styl3r_cli.photos.resize import fit_photo
 from styl3r_export.cropping import crop_camera
 from styl3r_export.evaluate.__main__ import main
 from styl3r_export.evaluate.depth import fit_plane, relative_errors
 from styl3r_export.evaluate.essential import match, solve
 from styl3r_export.evaluate.groups import choose_groups
-from styl3r_export.evaluate.poses import area_under_recall, direction_error, rotation_error
+from styl3r_export.evaluate.poses import area_under_recall
 from styl3r_export.evaluate.scenes import load_scene
 
 
@@ -125,29 +126,6 @@ def test_cropped_cameras_see_what_the_crop_shows(shape: tuple[int, int]) -> None
     found = np.array([(u * crop).sum(), (v * crop).sum()]) / crop.sum()
     np.testing.assert_allclose(found, [camera.cx, camera.cy], atol=0.05)
     np.testing.assert_allclose(at * zoom - corner, [camera.cx, camera.cy])
-
-
-@given(
-    st.lists(st.floats(0, 3), min_size=3, max_size=3),
-    st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3),
-)
-@settings(max_examples=30, deadline=None)
-def test_rotation_error_is_the_angle_between(a: list[float], b: list[float]) -> None:
-    one, two = np.eye(4), np.eye(4)
-    one[:3, :3], two[:3, :3] = (Rotation.from_rotvec(r).as_matrix() for r in (a, b))
-    expected = np.degrees((Rotation.from_rotvec(a).inv() * Rotation.from_rotvec(b)).magnitude())
-    assert rotation_error(one, two) == pytest.approx(expected, abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "degrees"),
-    [([1, 0, 0], [2, 0, 0], 0), ([1, 0, 0], [-1, 0, 0], 180), ([1, 1, 0], [3, 0, 0], 45),
-     ([0, 0, 0], [1, 0, 0], 90)],
-)  # fmt: skip
-def test_direction_error(a: list[float], b: list[float], degrees: float) -> None:
-    one, two = np.eye(4), np.eye(4)
-    one[:3, 3], two[:3, 3] = a, b
-    assert direction_error(one, two) == pytest.approx(degrees)
 
 
 @given(st.lists(st.floats(0.01, 60), min_size=1, max_size=20), st.sampled_from([5.0, 10.0, 20.0]))

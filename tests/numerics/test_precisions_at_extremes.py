@@ -19,9 +19,9 @@ from styl3r_cli.tradeoff.agreement import BROKEN_DB
 
 pytest.importorskip("onnx", reason="onnx makes the other precisions")
 
-# Views like those that int8-static's ranges are calibrated on.
+# Views like those that int8-static's and mixed's ranges are calibrated on.
 ORDINARY_ONES = (ORDINARY, "identical views", "one dot", "principal point outside")
-PRECISIONS = ("fp16", "w8", "w4", "int8", "int8-static")
+PRECISIONS = ("fp16", "w8", "w4", "int8", "int8-static", "mixed")
 SAMPLES = {ORDINARY: lambda: photos_of(wall())} | HOSTILE
 
 
@@ -80,7 +80,7 @@ def test_every_precision_is_sound_and_trustworthy_where_it_is_said(
     for looks in made.values():
         assert all(np.isfinite(picture).all() for both in looks.values() for picture in both)
     assert min(table["fp16"][name] for name in SAMPLES) == 100.0  # the bundled weights are fp16
-    for precision in ("w8", "w4", "int8"):
+    for precision in ("w8", "w4", "int8", "mixed"):
         assert min(table[precision].values()) >= BROKEN_DB, precision
     # Calibrated ranges hold for what they were calibrated on.
     assert min(table["int8-static"][name] for name in ORDINARY_ONES) >= BROKEN_DB

@@ -6,18 +6,13 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_export.evaluate.essential import relative_pose
 from styl3r_export.evaluate.groups import Group
 from styl3r_export.evaluate.records import MODEL, Values
-
-# The direction of a motion of length 0: what a direction drawn at random is off by on average.
-NO_DIRECTION = 90.0
-
-Array = NDArray[np.float64]
 
 
 def camera_values(
@@ -40,12 +35,12 @@ def camera_values(
     """
     values: Values = {}
     for a, b in combinations(range(len(group.views)), 2):
-        truth = between(group.views[a].camera, group.views[b].camera)
+        truth = motion(group.views[a].camera.extrinsics, group.views[b].camera.extrinsics)
         sift = relative_pose(
             group.views[a].pixels, group.views[b].pixels, given[a].intrinsics, given[b].intrinsics
         )
         guesses = {
-            MODEL: between(recovered.cameras[a], recovered.cameras[b]),
+            MODEL: motion(recovered.cameras[a].extrinsics, recovered.cameras[b].extrinsics),
             "identity": np.eye(4),
             "SIFT + E": np.eye(4) if sift is None else sift,
         }
@@ -62,27 +57,6 @@ def camera_values(
     for method, focal in ((MODEL, found_focal), ("28 mm assumed", assumed_focal)):
         values["cameras", "focal length (relative)", method] = [abs(focal / true_focal - 1)]
     return values
-
-
-def between(a: Camera, b: Camera) -> Array:
-    """(4, 4): from camera a's frame to camera b's."""
-    return b.extrinsics @ np.linalg.inv(a.extrinsics)
-
-
-def rotation_error(guess: Array, truth: Array) -> float:
-    """Degrees between two rotations, exact for small angles too."""
-    difference = guess[:3, :3].T @ truth[:3, :3]
-    chord = np.linalg.norm(difference - np.eye(3)) / np.sqrt(8)
-    return float(np.degrees(2 * np.arcsin(min(chord, 1.0))))
-
-
-def direction_error(guess: Array, truth: Array) -> float:
-    """Degrees between two translations; NO_DIRECTION if one of them is 0."""
-    a, b = guess[:3, 3], truth[:3, 3]
-    lengths = np.linalg.norm(a) * np.linalg.norm(b)
-    if lengths == 0:
-        return NO_DIRECTION
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 def area_under_recall(errors: Sequence[float], limit: float) -> float:

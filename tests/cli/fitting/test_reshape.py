@@ -63,6 +63,33 @@ def test_gathering_is_the_transpose_of_drawing(scene: Gaussians, cameras: list[C
     )
 
 
+@pytest.mark.parametrize("unit", [1e-30, 1e30])
+def test_a_step_is_the_same_in_any_unit_of_length(
+    scene: Gaussians, cameras: list[Camera], unit: float
+) -> None:
+    """Squares of lengths would not fit into float32."""
+    wrong = shrunk(scene, 0.9, 0.85)
+    sizes = np.full(len(scene), 1e-3)
+    targets = [Target.of(each) for each in look(scene, cameras[:1], 1)]
+    seen = look(wrong, cameras[:1], 1)
+    larger = replace(wrong, scales=wrong.scales * np.float32(unit))
+    plain = reshape(wrong, seen, targets, sizes, 2, 1)
+    scaled = reshape(larger, seen, targets, sizes * unit, 2, 1)
+    np.testing.assert_allclose(scaled.opacities, plain.opacities, rtol=1e-4)
+    np.testing.assert_allclose(scaled.scales / np.float32(unit), plain.scales, rtol=1e-4)
+
+
+def test_the_largest_scales_stay_finite(scene: Gaussians, cameras: list[Camera]) -> None:
+    wrong = shrunk(scene, 0.9, 0.85)
+    targets = [Target.of(each) for each in look(scene, cameras[:1], 1)]
+    unit = 3.4e38 / float(wrong.scales.max())
+    largest = replace(wrong, scales=(wrong.scales * np.float64(unit)).astype(np.float32))
+    sizes = np.full(len(scene), 1e-3 * unit)
+    made = reshape(largest, look(wrong, cameras[:1], 1), targets, sizes, 6, 1)
+    assert np.isfinite(made.scales).all()
+    assert made.scales.max() > 1e38
+
+
 def test_a_step_comes_nearer(scene: Gaussians, cameras: list[Camera]) -> None:
     targets = [Target.of(each) for each in look(scene, cameras, 1)]
     wrong = shrunk(scene, 0.9, 0.85)
