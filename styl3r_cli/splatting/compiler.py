@@ -172,9 +172,16 @@ def parallel_for(
             compiled(*call)
         return
     pool = _pool(default_threads() if threads is None else threads)
-    futures = [pool.submit(compiled, *call) for call in calls]
-    for future in futures:
-        future.result()
+    try:
+        futures = [pool.submit(compiled, *call) for call in calls]
+        for future in futures:
+            future.result()
+    except (KeyboardInterrupt, SystemExit):
+        # It may have come while a thread was started, of which the pool does not know then: at
+        # its exit Python would wait for that thread, and that thread for work.
+        _pools.pop((os.getpid(), threads or default_threads()), None)
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
 
 
 def _pool(threads: int) -> ThreadPoolExecutor:

@@ -156,6 +156,20 @@ def test_every_index_is_visited_once(count, threads):
     assert (visits == 3).all()
 
 
+def test_ctrl_c_while_a_thread_starts_ends_the_process():
+    """The pool does not know of that thread yet, which Python would wait for at its exit."""
+    code = (
+        "import threading\nfrom styl3r_cli.splatting.compiler import parallel_for\n"
+        "def start(thread, begin=threading.Thread.start):\n"
+        "    begin(thread)\n    raise KeyboardInterrupt\n"
+        "threading.Thread.start = start\n"
+        "parallel_for(lambda begin, end: None, 9, 2)\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, timeout=200, check=False)
+    assert b"KeyboardInterrupt" in done.stderr
+
+
 def test_parts_cost_about_the_same():
     sizes = []
     costs = np.concatenate([[0], np.cumsum([1000, *[1] * 999])])
