@@ -12,13 +12,19 @@ from styl3r_cli.files import STDOUT_CLOSED, stdout_is_closed
 from styl3r_cli.names import real_path
 
 
-def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], prints: bool = False) -> None:
+def check_outputs(
+    outputs: Iterable[Path],
+    inputs: Iterable[Path],
+    prints: bool = False,
+    makes: Iterable[Path] = (),
+) -> None:
     """Make sure that results can be written where they were asked for, each in its own place.
 
     Args:
         outputs: files that will be written.
         inputs: files that will be read.
         prints: whether a report goes to standard output as well.
+        makes: folders that `make_folder` will make once all inputs are read.
 
     Raises:
         UsageError: a result would replace something that is read, or another result.
@@ -28,6 +34,7 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], prints: bool 
         check_printable()
     read = {real_path(path) for path in inputs}
     taken: set[Path] = set()
+    made = {real_path(folder) for folder in makes if not _is_there(folder)}
     for path in outputs:
         target = real_path(path)
         if target in read:
@@ -36,9 +43,41 @@ def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], prints: bool 
             raise UsageError(f"{path} would be two results; give each a file of its own")
         taken.add(target)
         try:
-            _check_place(path, target)
+            if target.parent not in made:
+                _check_place(path, target)
         except OSError as error:
             raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, and those above it.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(_cannot_make(folder, error.strerror)) from error
+
+
+def _is_there(folder: Path) -> bool:
+    """Whether a folder for results need not be made; raises OutputError if it cannot be."""
+    try:
+        if folder.is_dir():
+            return True
+        above = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    except OSError as error:
+        raise OutputError(_cannot_make(folder, error.strerror)) from error
+    if not above.is_dir():
+        raise OutputError(_cannot_make(folder, f"{above} is a file"))
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise OutputError(_cannot_make(folder, "Permission denied"))
+    return False
+
+
+def _cannot_make(folder: Path, why: str | None) -> str:
+    return f"cannot make the folder {folder}: {why}"
 
 
 def _is_stdout(target: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ class BytesType(click.ParamType):
         if isinstance(value, int):
             return value
         match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([kmg]i?)?b?", str(value).strip().lower())
-        size = int(float(match[1]) * UNITS[match[2] or ""]) if match else 0
+        size = int(Decimal(match[1]) * UNITS[match[2] or ""]) if match else 0
         if size < 1:
             self.fail(f"'{value}' is not a size such as 5MB or 800kB", param, ctx)
         return size

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from styl3r_cli.commands.options import STDOUT, WeightedStyle
-from styl3r_cli.errors import OutputError, UsageError
+from styl3r_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from styl3r_cli.commands.request import SceneRequest
@@ -42,11 +42,10 @@ def outputs_of(request: SceneRequest) -> list[Path]:
 
 
 def check_each(request: SceneRequest) -> None:
-    """Refuse names that several scenes would share, and make the folders of those they have.
+    """Refuse names that several scenes would share.
 
     Raises:
         UsageError: an output has no place for the style's name.
-        OutputError: a folder cannot be made.
     """
     if request.output == STDOUT:
         raise UsageError(f"--each writes several scenes; name them -o DIR/{PLACE}.ply")
@@ -57,12 +56,6 @@ def check_each(request: SceneRequest) -> None:
     ):
         if path is not None and PLACE not in path.name:
             raise UsageError(f"{option} {path}: with --each the file's name needs {PLACE} in it")
-    for path in outputs_of(request):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            message = f"cannot make the folder {path.parent}: {error.strerror}"
-            raise OutputError(message) from error
 
 
 def _names(styles: tuple[WeightedStyle, ...]) -> list[str]:

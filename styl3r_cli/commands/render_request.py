@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix
+from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix, make_folder
 from styl3r_cli.commands.options import STDOUT
-from styl3r_cli.errors import OutputError, UsageError
+from styl3r_cli.errors import UsageError
 from styl3r_cli.frames import SURROUNDINGS, Background, Colour
 from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.movies import PIPED
@@ -132,17 +132,17 @@ def check(request: RenderRequest) -> None:
     """
     _check_kind(request)
     outputs = [request.save_path] if request.save_path else []
+    makes: list[Path] = []
     for path in outputs:  # a file of anything else is named by mistake, and would be lost
         check_suffix(path, ".json", "--save-path")
     if request.output == STDOUT:
         check_stdout("-o -")
+    elif _is_numbered(request):
+        outputs.append(numbered(request.file, 0))
+        makes.append(request.file.parent)
     else:
-        path = request.file
-        if not request.one_file and is_pattern(path):
-            _make_folder(path.parent)
-            path = numbered(path, 0)
-        outputs.append(path)
-    check_outputs(outputs, _inputs(request))
+        outputs.append(request.file)
+    check_outputs(outputs, _inputs(request), makes=makes)
 
 
 def check_frames(request: RenderRequest, count: int) -> None:
@@ -152,9 +152,15 @@ def check_frames(request: RenderRequest, count: int) -> None:
         UsageError: one is an input or the file of cameras, or there is no place for a number.
         OutputError: the place of one cannot be written to.
     """
+    if _is_numbered(request):
+        make_folder(request.file.parent)
     if not request.one_file:
         others = [request.save_path] if request.save_path else []
         check_outputs([*others, *frame_names(request.file, count)], _inputs(request))
+
+
+def _is_numbered(request: RenderRequest) -> bool:
+    return request.output != STDOUT and not request.one_file and is_pattern(request.file)
 
 
 def _inputs(request: RenderRequest) -> list[Path]:
@@ -194,13 +200,6 @@ def check_size(request: RenderRequest, width: int, height: int) -> None:
     if longest is not None and max(width, height) > longest:
         message = f"{width}x{height} pixels; a .{request.kind} has at most {longest} a side"
         raise UsageError(f"-o {request.output}: {message} (--size)")
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot make the folder {folder}: {error.strerror}") from error
 
 
 def frame_names(path: Path, count: int) -> list[Path]:

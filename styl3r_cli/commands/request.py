@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix
+from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix, make_folder
 from styl3r_cli.commands.each import check_each, one_by_one, outputs_of
 from styl3r_cli.commands.options import STDOUT, WeightedStyle
 from styl3r_cli.console import Console
@@ -128,6 +128,9 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
             photos = load(wanted)
     for note in [*photos.notes, *(note for style in styles if style for note in style.notes)]:
         console.note(note)
+    if request.each:
+        for path in outputs_of(request):
+            make_folder(path.parent)
     return Inputs(stylizer, photos, styles, left_out)
 
 
@@ -199,10 +202,11 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
     read.append(user_path(request.model) / MANIFEST)
     if request.each:
         check_each(request)
+    makes = [path.parent for path in outputs_of(request)] if request.each else []
     outputs = [path for one in one_by_one(request) for path in outputs_of(one)]
     if request.each and request.cameras_out:  # one file for all of them
         outputs.append(request.cameras_out)
-    check_outputs(outputs, read, prints=request.json)
+    check_outputs(outputs, read, prints=request.json, makes=makes)
     for style in request.styles:
         if not style.path.exists():
             raise InputError(f"{style.path}: no such style picture")

@@ -70,12 +70,14 @@ def kernel(function: Callable[..., Any], fastmath: set[str] | None = None) -> Ca
     except RuntimeError:
         compiled = numba.njit(**options)(function)
     compiled.compile = _uncollected(compiled.compile)
-    with suppress(AttributeError):  # no cache, or a numba that keeps code otherwise
+    with suppress(AttributeError, ImportError):  # no cache, or a numba that keeps code otherwise
+        from styl3r_cli.splatting.kept_code import KeptCode
+
         kept = compiled._cache
         # numba checks the kept code against the function's own file; but the constants and the
         # other kernels that it compiled in come from the files beside it, and may have changed.
         stamp = (kept._cache_file._source_stamp, _sources(Path(function.__code__.co_filename)))
-        kept._cache_file._source_stamp = stamp
+        kept._cache_file = KeptCode(kept.cache_path, kept._impl.filename_base, stamp)
         kept.load_overload = _or_nothing(kept.load_overload)
         kept.save_overload = _or_nothing(kept.save_overload)
     return compiled
@@ -170,9 +172,16 @@ def parallel_for(
             compiled(*call)
         return
     pool = _pool(default_threads() if threads is None else threads)
-    futures = [pool.submit(compiled, *call) for call in calls]
-    for future in futures:
-        future.result()
+    try:
+        futures = [pool.submit(compiled, *call) for call in calls]
+        for future in futures:
+            future.result()
+    except (KeyboardInterrupt, SystemExit):
+        # It may have come while a thread was started, of which the pool does not know then: at
+        # its exit Python would wait for that thread, and that thread for work.
+        _pools.pop((os.getpid(), threads or default_threads()), None)
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
 
 
 def _pool(threads: int) -> ThreadPoolExecutor:

@@ -71,6 +71,13 @@ def test_a_file_as_small_as_asked_for(scene: Path, tmp_path: Path, compact: Comp
     assert 6000 < out.stat().st_size <= 8000
 
 
+def test_more_bytes_than_any_float_are_no_limit(
+    scene: Path, tmp_path: Path, compact: Compact
+) -> None:
+    code, _, told = compact(scene, "-o", tmp_path / "a.splat", "--max-bytes", f"1{'0' * 400}kB")
+    assert code == 0, told
+
+
 def test_decibels_that_were_asked_for_are_kept(
     scene: Path, tmp_path: Path, compact: Compact
 ) -> None:

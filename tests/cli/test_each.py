@@ -118,6 +118,15 @@ def test_a_style_that_cannot_be_used_does_not_stop_the_others(
     assert str(broken) in line
 
 
+def test_no_folder_is_made_for_scenes_that_never_come(
+    run: Run, photos: list[Path], styles: list[Path], tmp_path: Path
+) -> None:
+    photos[0].write_bytes(b"no picture")
+    command = ("stylize", *photos[:2], "--each", "-o", tmp_path / "new" / "{style}.ply")
+    assert run(*command, *options(styles))[0] == 3
+    assert not (tmp_path / "new").exists()
+
+
 def test_no_usable_style_is_a_bad_input(run: Run, photos: list[Path], tmp_path: Path) -> None:
     broken = [tmp_path / f"broken {n}.png" for n in range(2)]
     for path in broken:

@@ -101,6 +101,21 @@ def test_each_camera_of_a_file_is_one_picture(
         assert np.abs(picture.astype(int) - expected).max() <= 1  # the PLY rounds to float32
 
 
+def test_no_folder_is_made_for_frames_that_never_come(
+    run: Run, scene: Path, cameras: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "new" / "er" / "%d.png"
+    assert run(tmp_path / "no.ply", "-o", out)[0] == 3
+    cameras.write_bytes(b"no cameras")
+    assert run(scene, "-o", out, "--cameras", cameras)[0] == 3
+    code, err = run(scene, "-o", cameras / "new" / "%d.png")
+    assert (code, "cannot make the folder" in err) == (6, True)
+    assert not (tmp_path / "new").exists()
+    path = out.with_name("path.json")
+    assert run(scene, "-o", out, "--frames", 1, "--size", 16, "--save-path", path)[0] == 0
+    assert sorted(file.name for file in out.parent.iterdir()) == ["0.png", "path.json"]
+
+
 def test_holes_show_their_surroundings(
     run: Run, scene: Path, cameras: Path, gaussians: Gaussians, tmp_path: Path
 ) -> None:

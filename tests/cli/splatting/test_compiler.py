@@ -61,6 +61,62 @@ def test_kept_code_follows_the_modules_beside_it(tmp_path: Path):
     assert printed == [["20", "0"], ["20", "1"], ["30", "0"]]
 
 
+@pytest.mark.parametrize("fault", ["killed", "full disk", "Ctrl-C"])
+def test_code_that_could_not_be_kept_is_not_mistaken_for_what_was(tmp_path: Path, fault: str):
+    """A run ends at each file that it keeps, just after its sources have changed."""
+    (tmp_path / "kernels.py").write_text(
+        "import os, sys\nimport factors\nfrom styl3r_cli.splatting.compiler import kernel\n"
+        "F = factors.F\n@kernel\ndef times(x):\n    return F * x\n"
+        "def fail(*names):\n"
+        "    global left\n    left -= 1\n"
+        "    if left >= 0:\n        return replace(*names)\n"
+        "    if fault == 'killed':\n        os._exit(9)\n"
+        "    raise OSError(28, 'full') if fault == 'full disk' else KeyboardInterrupt\n"
+        "left, fault, replace = int(sys.argv[1]), sys.argv[2], os.replace\n"
+        "if left >= 0:\n    os.replace = fail\n"
+        "print(times(10))\n"
+    )
+
+    def run(factor: int, kept: int = -1) -> str:
+        (tmp_path / "factors.py").write_text(f"F = {factor}\n")
+        command = [sys.executable, "-B", "-c", "import kernels", str(kept), fault]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.stdout.strip()
+
+    for kept in range(3):
+        assert run(2) == "20"
+        run(3, kept)
+        if fault != "killed":
+            assert not list(tmp_path.glob("__pycache__/*[!c]"))
+        assert run(3) == "30"
+
+
+def test_kinds_of_numbers_kept_at_once(tmp_path: Path):
+    """Three first runs, each of another kind, see a cache in which nothing is yet."""
+    (tmp_path / "kernels.py").write_text(
+        "import os, pathlib, sys, time\nfrom styl3r_cli.splatting.compiler import kernel\n"
+        "@kernel\ndef half(x):\n    return x / 2\n"
+        "x = {'int': 3, 'float': 3.0, 'complex': 3j}[sys.argv[1]]\n"
+        "def wait(*names, go=os.replace):\n"
+        "    pathlib.Path(sys.argv[1]).touch()\n"
+        "    while len(list(pathlib.Path().glob('*[tx]'))) < 3:\n        time.sleep(0.001)\n"
+        "    go(*names)\n"
+        "if len(sys.argv) > 2:\n    os.replace = wait\n"
+        "print(half(x), sum(half.stats.cache_hits.values()))\n"
+    )
+
+    def start(kind: str, *more: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-B", "-c", "import kernels", kind, *more]
+        return subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+
+    right = {"int": "1.5", "float": "1.5", "complex": "1.5j"}
+    first = {kind: start(kind, "wait") for kind in right}
+    for kind, process in first.items():
+        assert process.communicate(timeout=100)[0].split() == [right[kind], "0"]
+    for kind in right:
+        assert start(kind).communicate(timeout=100)[0].split() == [right[kind], "1"]
+
+
 @pytest.mark.parametrize("damage", ["none", "cut", "garbage", "read-only"])
 def test_a_bad_cache_is_no_obstacle(tmp_path: Path, damage: str):
     """A child draws with a cache that was damaged, or cannot be written, since the last run."""
@@ -98,6 +154,20 @@ def test_every_index_is_visited_once(count, threads):
     parallel_for(visit, count, threads, visits, costs=costs)
     parallel_for(visit, count, threads, visits, costs=np.zeros(count + 1, int))
     assert (visits == 3).all()
+
+
+def test_ctrl_c_while_a_thread_starts_ends_the_process():
+    """The pool does not know of that thread yet, which Python would wait for at its exit."""
+    code = (
+        "import threading\nfrom styl3r_cli.splatting.compiler import parallel_for\n"
+        "def start(thread, begin=threading.Thread.start):\n"
+        "    begin(thread)\n    raise KeyboardInterrupt\n"
+        "threading.Thread.start = start\n"
+        "parallel_for(lambda begin, end: None, 9, 2)\n"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, timeout=200, check=False)
+    assert b"KeyboardInterrupt" in done.stderr
 
 
 def test_parts_cost_about_the_same():
