@@ -16,6 +16,7 @@ PHRASES = (
     "failed to allocate",
     "insufficient memory",
     "out of memory",
+    "pthread_create failed",  # onnxruntime, of a thread that the system does not allow
     "not enough memory",  # Windows
     "paging file is too small",
     "can't start new thread",  # Python: there was no room for its stack

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from styl3r_cli.errors import InputError
+from styl3r_cli.errors import InputError, OutputError
 from styl3r_cli.formats.quantise import to_bytes
 from styl3r_cli.formats.scene import Encoded, Scene
 from styl3r_cli.formats.values import clipped, finite_only, in_float32, left_out, unit
@@ -25,10 +25,15 @@ def encode(gaussians: Gaussians, metadata: dict[str, str]) -> Encoded:
     Args:
         gaussians: the scene; colours are clipped to [0, 1].
         metadata: left out, with a note.
+
+    Raises:
+        OutputError: the scene has no Gaussian.
     """
     notes: list[str] = []
     scene = finite_only(gaussians, notes)
     kept = scene.gaussians
+    if not len(kept):
+        raise OutputError("a .splat of no Gaussian is an empty file, which no program reads")
     rows = np.empty(len(kept), ROW)
     rows["means"], rows["scales"] = kept.means, kept.scales
     rows["rgba"] = to_bytes(np.column_stack([kept.colours, kept.opacities]))
