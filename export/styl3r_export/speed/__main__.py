@@ -17,7 +17,7 @@ SIDE = 256  # pixels of the pictures that are compared, as of the photos
 
 
 @click.command()
-@click.argument("checkpoint")
+@click.argument("checkpoint", type=click.Path(exists=True, dir_okay=False))
 @click.argument("models", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option("--photos", required=True, help="A folder or glob; the first --views of them.")
 @click.option("--style", required=True, help="A style picture.")
