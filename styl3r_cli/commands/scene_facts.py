@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.stored import KEY, cameras_from_metadata
 from styl3r_cli.commands.scene_file import SceneFile
 from styl3r_cli.console import one_line
+from styl3r_cli.errors import OutputError
 from styl3r_cli.formats import MODULES, Scene, encode_scene
 from styl3r_cli.formats.values import ATTRIBUTES
 from styl3r_cli.gaussians import Gaussians
@@ -56,10 +58,11 @@ def facts(name: str, file: SceneFile) -> dict[str, Any]:
 
 
 def sizes_by_format(scene: Scene, done: Callable[[], None]) -> dict[str, int]:
-    """Bytes of the scene in every format; `done` is called after each."""
+    """Bytes of the scene in every format that can hold it; `done` is called after each."""
     sizes = {}
     for suffix in MODULES:
-        sizes[suffix] = len(encode_scene(scene.gaussians, scene.metadata, suffix).data)
+        with suppress(OutputError):
+            sizes[suffix] = len(encode_scene(scene.gaussians, scene.metadata, suffix).data)
         done()
     return sizes
 
