@@ -66,6 +66,10 @@ def decibels(pictures: list[np.ndarray], reference: list[np.ndarray]) -> float:
     return min(psnr(a, b) for a, b in zip(pictures, reference, strict=True))
 
 
+# What the documentation says not to trust: four bits on noise, of which nothing can be matched.
+TOO_COARSE = {("w4", "saturated noise")}
+
+
 @pytest.mark.slow
 def test_every_precision_is_sound_and_trustworthy_where_it_is_said(
     made: dict[str, dict[str, list[np.ndarray]]],
@@ -81,6 +85,7 @@ def test_every_precision_is_sound_and_trustworthy_where_it_is_said(
         assert all(np.isfinite(picture).all() for both in looks.values() for picture in both)
     assert min(table["fp16"][name] for name in SAMPLES) == 100.0  # the bundled weights are fp16
     for precision in ("w8", "w4", "int8", "mixed"):
-        assert min(table[precision].values()) >= BROKEN_DB, precision
+        for name, found in table[precision].items():
+            assert found >= BROKEN_DB or (precision, name) in TOO_COARSE, (precision, name)
     # Calibrated ranges hold for what they were calibrated on.
     assert min(table["int8-static"][name] for name in ORDINARY_ONES) >= BROKEN_DB
