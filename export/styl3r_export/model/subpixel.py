@@ -10,10 +10,10 @@ from torch.nn import functional as F
 from styl3r_export.model.flow import Flows
 from styl3r_export.model.loops import Carry, repeat
 
-# Pixels a side of a flow's cell, and of the window around its centre that is compared. Of windows
-# of 10 to 16 pixels the largest found the best cameras on real pairs.
+# Pixels a side of a flow's cell, and of the window around its centre that is compared. On real pairs
+# windows of 10 to 16 pixels found equally good cameras; 24 found better ones, but worse depths.
 CELL, WINDOW = 8, 16
-# Steps; from the sixth on nothing changes any more.
+# Steps. On real pairs 4 found slightly worse cameras, 8 hardly better ones.
 STEPS = 6
 # A patch's brightness and contrast are taken out over so many pixels to each side: exposure
 # differs between photos. Deviations below the second number (of a picture in [0, 1]) are noise.
