@@ -10,8 +10,8 @@ from torch.nn import functional as F
 from styl3r_export.model.flow import Flows
 from styl3r_export.model.loops import Carry, repeat
 
-# Pixels a side of a flow's cell, and of the window around its centre that is compared. On real pairs
-# windows of 10 to 16 pixels found equally good cameras; 24 found better ones, but worse depths.
+# Pixels a side of a flow's cell, and of the window around its centre that is compared. On real
+# pairs windows of 10 to 16 pixels found equally good cameras; 24 better ones, but worse depths.
 CELL, WINDOW = 8, 16
 # Steps. On real pairs 4 found slightly worse cameras, 8 hardly better ones.
 STEPS = 6
