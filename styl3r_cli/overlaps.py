@@ -1,4 +1,4 @@
-"""Which pixels of the views show one surface, so that one painting covers it."""
+"""Which pixels of the views show one surface, so that it is painted, and kept, once."""
 
 from __future__ import annotations
 
@@ -22,8 +22,13 @@ NEIGHBOURS = 3
 # A picture's outermost pixels are painted with less around them to go by, and no seam should be
 # sharp: so many pixels from the border nothing is taken, and from there on all.
 BORDER, INSIDE = 3.0, 5.0
-# Pixels of the other picture that a pixel spans: with fewer, a stroke would be enlarged to a blur.
-TOO_COARSE, FINE_ENOUGH = 0.25, 0.5
+# Pixels of the other picture that a pixel spans: with fewer, what was taken would be coarser.
+TOO_COARSE, FINE_ENOUGH = 0.5, 0.8
+# A pixel's Gaussian is a repeat if of the BAND x BAND pixels around it less than this share is the
+# view's own: where views meet, both are kept for a few pixels, or their seam shows.
+BAND, OWN_SHARE = 5, 0.2
+MOSTLY = 0.5  # a share beyond which a pixel is the other view's
+MOST_OPAQUE = 0.99  # more is never drawn (Kerbl et al. 2023, section 6)
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,14 @@ class Overlaps:
     one view, the others take them over at the points' projections. What depends on the style is
     one resampling.
 
+    The same holds for the Gaussians: of a surface that several views show one view's are enough.
+    The others would lie before and behind them, by what depths are wrong.
+
+    Attributes:
+        order: the views whose camera is known, the one that others take from first.
+        own: (N, H, W) in [0, 1], how much of a pixel no view that is earlier in order shows.
+        kept: (N, H, W), whether the pixel's Gaussian is needed: not if it repeats another view's.
+
     Example:
         >>> overlaps = Overlaps(scene, recovered)
         >>> agreeing = overlaps.paint_once(pictures)
@@ -65,9 +78,16 @@ class Overlaps:
             scene: from `Stylizer.encode`.
             recovered: its cameras. Views whose camera was not found neither give nor take.
         """
+        import cv2
+
         known = np.flatnonzero(recovered.recovered).tolist()
         self.order = outwards(len(scene.images), known)
         self.overlaps = list(self._compare(scene, recovered.cameras))
+        self.own = np.ones(scene.means.shape[:3], np.float32)
+        for each in self.overlaps:
+            self.own[each.view] *= 1 - each.share
+        around = [cv2.blur(own, (BAND, BAND)) for own in self.own]
+        self.kept = np.stack(around) > OWN_SHARE
 
     def _compare(self, scene: Scene, cameras: list[Camera]) -> Iterator[Overlap]:
         depths = {
@@ -97,6 +117,29 @@ class Overlaps:
             painted[each.view] += taken[..., None] * change
             left[each.view] -= taken
         return painted
+
+    def opacities(self, opacities: FloatArray) -> FloatArray:
+        """Of the Gaussians that are kept: with what the repeats that lay on them covered besides.
+
+        Two layers of opacities a and b let (1 - a)(1 - b) through, and one that stands for both
+        has to let through as little.
+
+        Args:
+            opacities: (N, H, W), the network's.
+
+        Returns:
+            (N, H, W), 0 for repeats.
+        """
+        through = 1 - opacities
+        for each in self.overlaps:
+            repeats = (each.share > MOSTLY) & ~self.kept[each.view]
+            below = tuple(np.rint(at[repeats]).astype(np.intp) for at in (each.y, each.x))
+            layer = np.ones_like(each.share)
+            # NaN, which the network's opacities may be, leaves the other layer alone.
+            np.fmin.at(layer, below, np.clip(1 - opacities[each.view][repeats], 0, 1))
+            through[each.painter] *= layer
+        merged = np.minimum(1 - through, np.maximum(opacities, np.float32(MOST_OPAQUE)))
+        return np.where(self.kept, merged, 0).astype(np.float32)
 
 
 def outwards(count: int, known: list[int]) -> list[int]:

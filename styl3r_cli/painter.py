@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -38,9 +39,10 @@ class Painter:
     A model whose colours are pictures says what each view should show. Drawn, that picture is
     blurred: Gaussians are wider than a pixel, and two views of one surface lie in two layers, one
     over the other. And each view is painted for itself, so that one surface has other strokes in
-    each. The painter takes one view's strokes for a surface, sharpens them as much as drawing blurs
-    them, and solves for the colours whose drawing comes closest to the pictures of all views (a
-    frame is linear in the colours). What does not depend on the style is worked out once.
+    each. The painter takes one view's Gaussians and strokes for a surface, sharpens the strokes as
+    much as drawing blurs them, and solves for the colours whose drawing comes closest to the
+    pictures of all views (a frame is linear in the colours). What does not depend on the style is
+    worked out once.
 
     Example:
         >>> painter = Painter(stylizer, scene, recover(scene.means, scene.opacities))
@@ -77,7 +79,10 @@ class Painter:
         weights: Sequence[float] | None = None,
         strength: float = 1.0,
     ) -> tuple[Gaussians, Repairs]:
-        """One Gaussian a pixel in a style; arguments and errors as `Stylizer.colours`."""
+        """The scene in a style; arguments and errors as `Stylizer.colours`.
+
+        One Gaussian a pixel, without those that repeat what another view shows.
+        """
         colours = self.stylizer.colours(self.scene, styles, weights, strength)
         finite = bool(np.isfinite(colours).all())
         # Photos agree with each other already, and resampling would blur them.
@@ -85,9 +90,9 @@ class Painter:
             colours = self._overlaps.paint_once(colours, strength)
             amount = FITTED_EMPHASIS if self.fitted else PLAIN_EMPHASIS
             colours = emphasised(colours, strength * amount)
-        gaussians, repairs = assemble(self.scene, colours)
+        gaussians, repairs = self._assemble(colours)
         if self.fitted and finite:
-            gaussians = self._fit.apply(gaussians, colours)
+            gaussians = self._fit.apply(gaussians, colours, strength)
         return gaussians, repairs
 
     def compact(self, gaussians: Gaussians, decibels: float) -> Compaction:
@@ -113,7 +118,7 @@ class Painter:
     def _compactor(self) -> Compactor:
         from styl3r_cli.compaction import Compactor, witnesses
 
-        plain, _ = assemble(self.scene, self.scene.images.transpose(0, 2, 3, 1))
+        plain, _ = self._assemble(self.scene.images.transpose(0, 2, 3, 1))
         traced = self._fit.traced if self.fitted else []
         cameras = witnesses(self.recovered.cameras, plain)
         return Compactor(plain, cameras, self.threads, traced, reshapes=RESHAPES)
@@ -125,8 +130,21 @@ class Painter:
         return Overlaps(self.scene, self.recovered)
 
     @cached_property
+    def _opacities(self) -> FloatArray:
+        return self._overlaps.opacities(self.scene.opacities)
+
+    def _assemble(self, colours: FloatArray) -> tuple[Gaussians, Repairs]:
+        """The scene's Gaussians in these colours, (N, H, W, 3), each surface's once."""
+        if not self.pictures:
+            return assemble(self.scene, colours)
+        scene = replace(self.scene, opacities=self._opacities)
+        return assemble(scene, colours, self._overlaps.kept)
+
+    @cached_property
     def _fit(self) -> _Fit:
-        return _Fit(self.scene, self.recovered, self.threads)
+        # Any colours would do to begin with.
+        plain, _ = self._assemble(self.scene.images.transpose(0, 2, 3, 1))
+        return _Fit(plain, self.recovered, self._overlaps.own, self.threads)
 
 
 def emphasised(pictures: FloatArray, amount: float) -> FloatArray:
@@ -156,7 +174,7 @@ def warm_up(compact: bool = False) -> None:
         dot = Gaussians(three, three, np.ones((1, 4), np.float32), one, three)
         camera = Camera(np.eye(4), 1.0, 1.0, 0.5, 0.5, 1, 1)
         with suppress(Exception):
-            _fitted(dot, _look(dot, [camera], 1), [three], 1)
+            _fitted(dot, _look(dot, [camera], 1), [(three, one[:, None])], 1)
         if compact:
             with suppress(Exception):
                 from styl3r_cli.compaction import Compactor
@@ -177,16 +195,16 @@ def _look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) 
 def _fitted(
     gaussians: Gaussians,
     traces: Sequence[Trace],
-    pictures: Sequence[FloatArray],
+    wanted: Sequence[tuple[FloatArray, FloatArray]],
     threads: int | None,
 ) -> Gaussians:
-    """The Gaussians in the colours that show the pictures (P, 3) best."""
+    """The Gaussians in the colours that show pictures (P, 3) of weights (P, 1) best."""
     from styl3r_cli.fitting.refit import Target, refit
 
     # What the scene does not cover stays uncovered.
     targets = [
-        Target(picture * (1 - each.through[:, None]), each.through)
-        for picture, each in zip(pictures, traces, strict=True)
+        Target(picture * (1 - each.through[:, None]), each.through, weight)
+        for (picture, weight), each in zip(wanted, traces, strict=True)
     ]
     colours = refit(traces, targets, gaussians.colours, FIT_STEPS, threads)
     return gaussians.with_colours(colours)
@@ -195,18 +213,31 @@ def _fitted(
 class _Fit:
     """The views' frames as matrices that take colours to pixels."""
 
-    def __init__(self, scene: Scene, recovered: Recovered, threads: int | None) -> None:
+    def __init__(
+        self, plain: Gaussians, recovered: Recovered, own: FloatArray, threads: int | None
+    ) -> None:
+        """Trace the views.
+
+        Args:
+            plain: the scene in any colours.
+            recovered: the views' cameras.
+            own: (N, H, W), how much of each pixel no other view paints.
+            threads: None for every core.
+        """
         self.views = np.flatnonzero(recovered.recovered)
-        self.threads = threads
-        # Any colours would do to begin with.
-        gaussians, _ = assemble(scene, scene.images.transpose(0, 2, 3, 1))
-        self.plain = gaussians.colours
+        self.plain, self.own, self.threads = plain.colours, own, threads
         cameras = [recovered.cameras[view] for view in self.views]
-        self.traces = _look(gaussians, cameras, threads)
+        self.traces = _look(plain, cameras, threads)
         self.traced = list(zip(cameras, self.traces, strict=True))
 
-    def apply(self, gaussians: Gaussians, pictures: FloatArray) -> Gaussians:
-        """The Gaussians in the colours that show the pictures (N, H, W, 3) best."""
+    def apply(self, gaussians: Gaussians, pictures: FloatArray, strength: float) -> Gaussians:
+        """The Gaussians in the colours that show the pictures (N, H, W, 3) best.
+
+        What another view painted is to be seen as it painted it, in its place: where depths are a
+        little wrong, two views' wishes for one stroke would make a blur of it. Of photos' own
+        colours, which do not need to be crisp but right, all views' have a say.
+        """
         traces = [each.recoloured(gaussians.colours - self.plain) for each in self.traces]
-        wanted = [pictures[view].reshape(-1, 3) for view in self.views]
+        weights = 1 - np.float32(strength) * (1 - self.own)
+        wanted = [(pictures[k].reshape(-1, 3), weights[k].reshape(-1, 1)) for k in self.views]
         return _fitted(gaussians, traces, wanted, self.threads)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from styl3r_cli.errors import ModelError, UsageError
 from styl3r_cli.gaussians import FloatArray, Gaussians
@@ -166,11 +167,18 @@ class Stylizer:
         return _in_range(fitted.astype(np.float32) / np.float32(255), self.model.content_range)
 
 
-def assemble(scene: Scene, colours: FloatArray) -> tuple[Gaussians, Repairs]:
+def assemble(
+    scene: Scene, colours: FloatArray, wanted: NDArray[np.bool_] | None = None
+) -> tuple[Gaussians, Repairs]:
     """Flatten a scene into Gaussians, views first, and mend what the network got wrong.
 
     A Gaussian with a value that is not finite, or without a direction, is dropped; opacities are
     clamped to [0, 1], scales floored so that their logarithm is finite, rotations normalised.
+
+    Args:
+        scene: the geometry.
+        colours: (N, H, W, 3) sRGB.
+        wanted: (N, H, W), the pixels whose Gaussians to take; None for all.
 
     Raises:
         ModelError: nothing is left.
@@ -182,10 +190,12 @@ def assemble(scene: Scene, colours: FloatArray) -> tuple[Gaussians, Repairs]:
     kept = np.isfinite(opacities) & np.isfinite(lengths) & (lengths > 0)
     for array in (means, scales, colours):
         kept &= np.isfinite(array).all(axis=1)
-    dropped = int(np.count_nonzero(~kept))
-    if dropped == len(kept):
+    chosen = np.ones_like(kept) if wanted is None else wanted.reshape(-1)
+    dropped = int(np.count_nonzero(chosen & ~kept))
+    kept &= chosen
+    if not kept.any():
         raise ModelError("the model gave no finite Gaussian; the photos or the model are unusual")
-    if dropped:
+    if not kept.all():
         means, scales, rotations = means[kept], scales[kept], rotations[kept]
         opacities, colours, lengths = opacities[kept], colours[kept], lengths[kept]
     repairs = Repairs(

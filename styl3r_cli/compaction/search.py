@@ -24,8 +24,9 @@ REFIT_STEPS, ROUGH_STEPS = 3, 1
 # A cut is found by way of a coarser one, whose measured errors say where to split: that is worth
 # 3 dB. The way to a budget begins with that share of it, the way to a promise with what the tree
 # foretells for so many decibels less: the tree sees errors twice to four times as large as they
-# are. That the second is split where errors were measured gains so many decibels, at least.
-BEGIN_SHARE, BEGIN_BELOW, REFINED = 0.6, 6.0, 2.0
+# are. What follows aims so much above the promise that two attempts do for most scenes: with a
+# third there are 1.6 % fewer Gaussians, and it takes a third longer (19 scenes, 45 dB).
+BEGIN_SHARE, BEGIN_BELOW, AIM_ABOVE = 0.6, 4.0, 0.5
 # Shapes are fitted so often; that gains so many decibels, at least. It takes as long again.
 RESHAPES, RESHAPED = 2, 4.0
 WASTE = 2.0  # decibels too many are worth one more attempt
@@ -101,9 +102,9 @@ class Compactor:
             elif made is not rough:
                 failed.append(made)
             if done is None and not failed:
-                count = counts.more(known.tree, rough, target - REFINED - gain)
+                count = counts.more(known.tree, rough, target + AIM_ABOVE - gain)
             else:
-                count = counts.better(known.tree, failed, done, target)
+                count = counts.better(failed, done, target)
         if done is not None:
             return self._result(done)
         result = self.without_unseen(colours)

@@ -19,6 +19,7 @@ HOLD, LEAST_HOLD = 0.02, 1e-3
 # What the frames are drawn on: neither black nor white, so that gaps are not painted over with
 # colours that are right on one background only.
 GREY = np.float32(0.5)
+_ALIKE = np.float32(1)  # weight of every pixel, where none counts for more
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,12 @@ class Target:
     Attributes:
         picture: (P, 3) on black.
         through: (P,) transmittance.
+        weight: (P, 1), or one for all: how much a pixel's squared error counts.
     """
 
     picture: FloatArray
     through: FloatArray
+    weight: FloatArray | np.float32 = _ALIKE
 
     @classmethod
     def of(cls, seen: Trace) -> Target:
@@ -83,13 +86,17 @@ def refit(
         def each(work: Callable[[int], FloatArray]) -> FloatArray:
             return np.sum(list(pool.map(work, range(len(traces)))), axis=0)
 
-        def normal(values: FloatArray) -> FloatArray:
-            return each(lambda n: traces[n].gather(traces[n].draw(values))) + hold * values
+        def weighed(n: int, values: FloatArray) -> FloatArray:
+            """(P, 3) values of a frame's pixels, back to its Gaussians."""
+            return traces[n].gather(targets[n].weight * values)
 
-        shown = each(lambda n: traces[n].seen()[0].astype(np.float32))[:, None]
+        def normal(values: FloatArray) -> FloatArray:
+            return each(lambda n: weighed(n, traces[n].draw(values))) + hold * values
+
+        shown = each(lambda n: weighed(n, np.ones_like(traces[n].picture)))[:, :1]
         hold = HOLD * shown + np.float32(LEAST_HOLD)
         residual = each(
-            lambda n: traces[n].gather(targets[n].missing(traces[n].picture, traces[n].through))
+            lambda n: weighed(n, targets[n].missing(traces[n].picture, traces[n].through))
         )
         best = _conjugate_gradients(normal, np.float32(1) / (shown + hold), residual, steps)
     brightest = np.maximum(np.float32(1), colours.max(initial=0))

@@ -1,4 +1,4 @@
-"""One surface, one painting: what views see twice keeps one view's strokes."""
+"""One surface, one painting: what views see twice keeps one view's strokes and Gaussians."""
 
 from __future__ import annotations
 
@@ -146,3 +146,51 @@ def test_a_view_that_comes_close_keeps_its_own_strokes() -> None:
 def test_the_order_goes_outwards_from_the_middle() -> None:
     assert outwards(4, [0, 1, 2, 3]) == [1, 0, 2, 3]
     assert outwards(5, [0, 1, 3, 4]) == [1, 3, 0, 4]
+
+
+def test_gaussians_that_repeat_another_views_are_left_out_but_for_a_band() -> None:
+    """The second view sees the first's wall but for its last six columns."""
+    scene, recovered = views(2)
+    kept = Overlaps(scene, recovered).kept
+    assert kept[0].all()
+    assert not kept[1, 8:-8, : SIDE - 6 - 8].any()
+    assert kept[1, :, SIDE - 6 - 3 :].all()
+
+
+def test_of_a_box_before_a_wall_each_surface_is_kept_once() -> None:
+    """What is behind the box in one view is the other view's to keep."""
+    scene, recovered = views(2, box=True)
+    overlaps = Overlaps(scene, recovered)
+    hidden = overlaps.own[1] > 0.99  # of the wall, and the frame's border
+    box = scene.means[1, ..., 2] == BOX
+    wall = ~box & hidden & overlaps.kept[1]
+    beside = np.argwhere(wall[SIDE // 2]).ravel()
+    assert len(beside) >= 6  # the parallax between box and wall
+    assert (~overlaps.kept[1] & box).sum() > 60
+
+
+def test_what_stays_covers_as_much_as_it_did_with_its_repeats() -> None:
+    scene, recovered = views(2)
+    scene.opacities[0], scene.opacities[1] = 0.8, 0.5
+    merged = Overlaps(scene, recovered).opacities(scene.opacities)
+    np.testing.assert_allclose(merged[0, 8:-8, 20:-8], 1 - 0.2 * 0.5, atol=1e-6)
+    np.testing.assert_allclose(merged[0, :, :6], 0.8, atol=1e-6)  # seen by the first alone
+    assert (merged[1][~Overlaps(scene, recovered).kept[1]] == 0).all()
+
+
+def test_damaged_opacities_stay_their_own() -> None:
+    scene, recovered = views(2)
+    scene.opacities[...] = 0.8
+    scene.opacities[1, 20:23, 10:20] = np.nan
+    scene.opacities[1, 24:26] = 7
+    merged = Overlaps(scene, recovered).opacities(scene.opacities)
+    assert np.isfinite(merged).all()
+    assert 0 <= merged.min() <= merged[0].max() <= 1  # what stays of the second is clamped later
+    scene.opacities[0, 5, 5] = np.nan  # of one that stays: dropped later, and counted
+    assert np.isnan(Overlaps(scene, recovered).opacities(scene.opacities)[0, 5, 5])
+
+
+def test_a_view_without_a_camera_repeats_nothing() -> None:
+    scene, recovered = views(3)
+    lost = replace(recovered, recovered=[True, False, True])
+    assert Overlaps(scene, lost).kept[1].all()

@@ -107,10 +107,10 @@ def test_fitted_colours_show_the_pictures_more_sharply(
     assert psnr(drawn[1], middle(want)) > psnr(drawn[0], middle(want)) + 3
 
 
-def test_only_colours_change_and_they_stay_in_range(
+def test_fitting_changes_only_colours_and_they_stay_in_range(
     scene: Scene, recovered: Recovered, pictures: FloatArray
 ) -> None:
-    plain, _ = assemble(scene, pictures)
+    plain, _ = paint(Brush(pictures), scene, recovered, fitted=False)()
     fitted, repairs = paint(Brush(pictures), scene, recovered)()
     for name in ("means", "scales", "rotations", "opacities"):
         np.testing.assert_array_equal(getattr(fitted, name), getattr(plain, name))
@@ -136,6 +136,31 @@ def test_warming_up_loads_what_stylizing_uses_and_no_more(monkeypatch: pytest.Mo
         if thread.name == "warm up":
             thread.join()
     assert set(used) == {"attempt"}
+
+
+def test_what_both_views_show_is_kept_once(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    whole, _ = assemble(scene, pictures)
+    kept, repairs = paint(Brush(pictures), scene, recovered, fitted=False)(strength=0.0)
+    assert len(kept) < 0.8 * len(whole)
+    assert str(repairs) == ""
+    for camera in recovered.cameras:
+        frames = [render(each, camera, threads=1) for each in (whole, kept)]
+        assert psnr(middle(frames[1].colour), middle(frames[0].colour)) > 28
+        assert np.abs(frames[1].alpha - frames[0].alpha).max() < 0.02
+
+
+def test_a_view_in_its_own_strokes_is_not_blurred_by_anothers(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    """The second view's depths are a little off: its strokes lie beside the first's."""
+    scene.means[1, ..., 2] *= 1.03
+    pictures[1] = np.roll(pictures[1], 2, axis=1)
+    styled, own = (paint(Brush(pictures), scene, recovered)(strength=s)[0] for s in (1.0, 0.0))
+    want = middle(pictures[0])
+    kept = [psnr(middle(seen(each, recovered)[0]), want) for each in (styled, own)]
+    assert kept[0] > kept[1] + 3
 
 
 def test_a_second_style_is_fitted_as_if_it_were_the_first(
