@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray, Gaussians
@@ -130,6 +131,13 @@ class Painter:
         return Overlaps(self.scene, self.recovered)
 
     @cached_property
+    def pixels(self) -> NDArray[np.bool_]:
+        """(N, H, W), whose Gaussians the scene consists of."""
+        if not self.pictures:
+            return np.ones(self.scene.opacities.shape, np.bool_)
+        return self._overlaps.kept
+
+    @cached_property
     def _opacities(self) -> FloatArray:
         return self._overlaps.opacities(self.scene.opacities)
 
@@ -138,7 +146,7 @@ class Painter:
         if not self.pictures:
             return assemble(self.scene, colours)
         scene = replace(self.scene, opacities=self._opacities)
-        return assemble(scene, colours, self._overlaps.kept)
+        return assemble(scene, colours, self.pixels)
 
     @cached_property
     def _fit(self) -> _Fit:

@@ -48,7 +48,7 @@ def differences(scene: Gaussians, reference: Gaussians) -> dict[str, Difference]
 
     Rotations count without their sign: q and -q are one rotation.
     """
-    if len(scene) != len(reference):
+    if len(scene) != len(reference) or not len(scene):
         return {}
     return {name: _difference(name, scene, reference) for name in ATTRIBUTES}
 

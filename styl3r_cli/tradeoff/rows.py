@@ -135,7 +135,7 @@ def _row(
     )
     if made is None or reference is None:
         return row
-    row.attributes = differences(_gaussians(made), _gaussians(reference))
+    row.attributes = differences(*corresponding(made, reference))
     row.views = _views(made, reference)
     row.cameras = camera_errors(list(made["poses"]), cameras)
     pairs = zip(made.get("held_out", []), held_out, strict=False)
@@ -158,8 +158,21 @@ def _arrays(bench: Bench, point: Point) -> dict[str, np.ndarray] | None:
         return dict(stored)
 
 
-def _gaussians(arrays: dict[str, np.ndarray]) -> Gaussians:
-    return Gaussians(*(arrays[name] for name in ATTRIBUTES))
+def corresponding(
+    made: dict[str, np.ndarray], reference: dict[str, np.ndarray]
+) -> tuple[Gaussians, Gaussians]:
+    """Both scenes' Gaussians of the pixels that are in both; none where they are not of pixels.
+
+    Which of two views' Gaussians stands for a surface may be decided by rounding.
+    """
+    scenes = [Gaussians(*(each[name] for name in ATTRIBUTES)) for each in (made, reference)]
+    pixels = [each["pixels"] for each in (made, reference)]
+    of_pixels = [len(scene) == int(each.sum()) for scene, each in zip(scenes, pixels, strict=True)]
+    if not all(of_pixels) or pixels[0].shape != pixels[1].shape:
+        return scenes[0].select(np.zeros(0, np.intp)), scenes[1].select(np.zeros(0, np.intp))
+    both = pixels[0] & pixels[1]
+    first, second = (scene.select(both[each]) for scene, each in zip(scenes, pixels, strict=True))
+    return first, second
 
 
 def model_bytes(folder: str) -> int:

@@ -89,7 +89,7 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
         "gaussians": len(gaussians),
     }
     if job["pictures"]:
-        _save(Path(job["pictures"]), job, gaussians, cameras, _truths(job, painter, cameras))
+        _save(Path(job["pictures"]), job, painter, gaussians, cameras)
     return result
 
 
@@ -115,17 +115,19 @@ def frame(gaussians: Gaussians, camera: Camera, drawing: str, threads: int) -> P
 def _save(
     path: Path,
     job: dict[str, Any],
+    painter: Painter,
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    truths: list[Picture],
 ) -> None:
     """What agreement is computed from: the Gaussians, and pictures from and between the views."""
     drawing, threads = job["point"]["drawing"], job["point"]["threads"]
     seen = [*cameras, *between(cameras)]
     arrays = {name: getattr(gaussians, name) for name in ATTRIBUTES}
+    arrays["pixels"] = painter.pixels
     arrays["pictures"] = np.stack([frame(gaussians, camera, drawing, threads) for camera in seen])
     arrays["views"] = np.array(len(cameras))
     arrays["poses"] = np.stack([camera.extrinsics for camera in cameras])
+    truths = _truths(job, painter, cameras)
     if truths:
         arrays["held_out"] = np.stack(truths)
     with atomic_write(path) as temporary, temporary.open("wb") as file:

@@ -23,7 +23,7 @@ from styl3r_cli.tradeoff import bench, worker
 from styl3r_cli.tradeoff.agreement import View, differences
 from styl3r_cli.tradeoff.plots import pareto
 from styl3r_cli.tradeoff.points import GIVEN, Dials, Point
-from styl3r_cli.tradeoff.rows import CLASSES, Row, advise
+from styl3r_cli.tradeoff.rows import CLASSES, Row, advise, corresponding
 
 Run = Callable[..., tuple[int, bytes, str]]
 UNIT = 7.0  # of the given cameras' world
@@ -86,6 +86,26 @@ def test_differences_are_those_that_were_made() -> None:
     assert found["opacities"].largest == pytest.approx(0.25, rel=1e-6)
     assert found["rotations"].largest == found["scales"].largest == found["colours"].relative == 0
     assert differences(scene(49), truth) == {}
+
+
+def test_gaussians_of_the_same_pixels_are_compared() -> None:
+    """Which of two views' Gaussians stands for a surface may be decided by rounding."""
+    whole = scene(12)
+
+    def stored(pixels: list[int]) -> dict[str, np.ndarray]:
+        chosen = np.zeros((2, 2, 3), np.bool_)
+        chosen.flat[pixels] = True
+        arrays = {k: getattr(whole, k)[chosen.ravel()] for k in Gaussians.__dataclass_fields__}
+        return arrays | {"pixels": chosen}
+
+    ours, theirs = corresponding(stored([0, 1, 4, 7]), stored([1, 4, 5, 11]))
+    np.testing.assert_array_equal(ours.means, whole.means[[1, 4]])
+    assert {each.largest for each in differences(ours, theirs).values()} == {0.0}
+    fewer = stored([0, 1, 4, 7])
+    fewer |= {k: fewer[k][:3] for k in Gaussians.__dataclass_fields__}  # compacted
+    assert differences(*corresponding(fewer, stored([0, 1, 4]))) == {}
+    other = stored([0]) | {"pixels": np.ones((1, 1, 1), np.bool_)}  # of smaller photos
+    assert differences(*corresponding(other, stored([0]))) == {}
 
 
 def test_each_dial_is_turned_alone_or_all_together() -> None:
