@@ -17,7 +17,7 @@ from styl3r_cli.compaction.tree import Tree, build_tree
 from styl3r_cli.fitting.refit import Target
 from styl3r_cli.fitting.tracing import SMALLEST_SHARE, Trace, look
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import kernel
+from styl3r_cli.splatting.compiler import in_threads, kernel
 
 # Part of a pixel that every Gaussian counts for, so that a node of hardly seen ones has a mean.
 LEAST_WEIGHT = 1e-3
@@ -74,8 +74,7 @@ def survey(
     """
     traces = _look(gaussians, cameras, threads, traced)
     weights, largest = np.zeros(len(gaussians)), np.zeros(len(gaussians), np.float32)
-    for each in traces:
-        total, most = each.seen()
+    for total, most in in_threads(Trace.seen, traces, threads):
         weights += total
         np.maximum(largest, most, out=largest)
     seen = np.flatnonzero(largest >= SMALLEST_SHARE)
@@ -85,7 +84,7 @@ def survey(
     eye = np.mean([centre(camera.extrinsics) for camera in cameras], axis=0)
     tree = None
     if len(seen):
-        contrasts = _contrasts(gaussians.colours, traces)[seen]
+        contrasts = _contrasts(gaussians.colours, traces, threads)[seen]
         tree = build_tree(shown.means, shown.colours, weights, sizes, eye, contrasts, threads)
     return Survey(gaussians, list(cameras), traces, seen, shown, weights, sizes, tree)
 
@@ -100,12 +99,17 @@ def pixel_sizes(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.f
     return sizes
 
 
-def _contrasts(colours: FloatArray, traces: Sequence[Trace]) -> NDArray[np.float64]:
+def _contrasts(
+    colours: FloatArray, traces: Sequence[Trace], threads: int | None
+) -> NDArray[np.float64]:
     """(G,) squared differences of each Gaussian to the pixels that show it, times its shares."""
-    found = np.zeros(len(colours))
-    for each in traces:
+
+    def contrast(each: Trace) -> NDArray[np.float64]:
+        found = np.zeros(len(colours))
         _differ(each.pixels, each.gaussians, each.shares, each.picture, colours, found)
-    return found
+        return found
+
+    return np.sum(in_threads(contrast, traces, threads), axis=0)
 
 
 @kernel

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.fitting.tracing import Trace
 from styl3r_cli.gaussians import FloatArray
-from styl3r_cli.splatting.compiler import default_threads
+from styl3r_cli.splatting.compiler import in_threads
 
 # How much a colour is held to the one it had, beside what the frames say of it: little, for
 # Gaussians of which the frames show next to nothing.
@@ -81,24 +80,21 @@ def refit(
     """
     if steps < 1:
         return colours
-    with ThreadPoolExecutor(default_threads() if threads is None else max(1, threads)) as pool:
 
-        def each(work: Callable[[int], FloatArray]) -> FloatArray:
-            return np.sum(list(pool.map(work, range(len(traces)))), axis=0)
+    def each(work: Callable[[int], FloatArray]) -> FloatArray:
+        return np.sum(in_threads(work, range(len(traces)), threads), axis=0)
 
-        def weighed(n: int, values: FloatArray) -> FloatArray:
-            """(P, 3) values of a frame's pixels, back to its Gaussians."""
-            return traces[n].gather(targets[n].weight * values)
+    def weighed(n: int, values: FloatArray) -> FloatArray:
+        """(P, 3) values of a frame's pixels, back to its Gaussians."""
+        return traces[n].gather(targets[n].weight * values)
 
-        def normal(values: FloatArray) -> FloatArray:
-            return each(lambda n: weighed(n, traces[n].draw(values))) + hold * values
+    def normal(values: FloatArray) -> FloatArray:
+        return each(lambda n: weighed(n, traces[n].draw(values))) + hold * values
 
-        shown = each(lambda n: weighed(n, np.ones_like(traces[n].picture)))[:, :1]
-        hold = HOLD * shown + np.float32(LEAST_HOLD)
-        residual = each(
-            lambda n: weighed(n, targets[n].missing(traces[n].picture, traces[n].through))
-        )
-        best = _conjugate_gradients(normal, np.float32(1) / (shown + hold), residual, steps)
+    shown = each(lambda n: weighed(n, np.ones_like(traces[n].picture)))[:, :1]
+    hold = HOLD * shown + np.float32(LEAST_HOLD)
+    residual = each(lambda n: weighed(n, targets[n].missing(traces[n].picture, traces[n].through)))
+    best = _conjugate_gradients(normal, np.float32(1) / (shown + hold), residual, steps)
     brightest = np.maximum(np.float32(1), colours.max(initial=0))
     return np.clip(colours + best, min(0, colours.min(initial=0)), brightest).astype(np.float32)
 

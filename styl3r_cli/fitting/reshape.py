@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from styl3r_cli.fitting.refit import GREY, Target
 from styl3r_cli.fitting.tracing import Trace
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import default_threads, kernel
+from styl3r_cli.splatting.compiler import in_threads, kernel
 from styl3r_cli.splatting.constants import ALPHA_MAX, DILATION
 
 # A Gaussian's unknowns: three colours, and the logarithms of its opacity and of its scale.
@@ -116,24 +115,22 @@ def reshape(
     """
     widths = np.sort(gaussians.scales, axis=1)[:, 1:] / pixel_sizes.astype(np.float64)[:, None]
     own = (1 - DILATION / (widths.prod(axis=1) + DILATION)).astype(np.float32)
-    with ThreadPoolExecutor(default_threads() if threads is None else max(1, threads)) as pool:
 
-        def each(work: Callable[[int], FloatArray]) -> FloatArray:
-            return np.sum(list(pool.map(work, range(len(traces)))), axis=0)
+    def each(work: Callable[[int], FloatArray]) -> FloatArray:
+        return np.sum(in_threads(work, range(len(traces)), threads), axis=0)
 
-        frames = list(
-            pool.map(
-                lambda seen: Slopes.of(seen, gaussians.colours, gaussians.opacities, own), traces
-            )
-        )
-        curvature = each(lambda n: frames[n].curvature()) + LEAST_CURVATURE
-        residual = each(lambda n: frames[n].gather(frames[n].lacks(targets[n])))
+    def slopes(seen: Trace) -> Slopes:
+        return Slopes.of(seen, gaussians.colours, gaussians.opacities, own)
 
-        def normal(values: FloatArray) -> FloatArray:
-            product = each(lambda n: frames[n].gather(frames[n].draw(values)))
-            return product + DAMPING * curvature * values
+    frames = in_threads(slopes, traces, threads)
+    curvature = each(lambda n: frames[n].curvature()) + LEAST_CURVATURE
+    residual = each(lambda n: frames[n].gather(frames[n].lacks(targets[n])))
 
-        change = _conjugate_gradients(normal, np.float32(1) / curvature, residual, steps)
+    def normal(values: FloatArray) -> FloatArray:
+        product = each(lambda n: frames[n].gather(frames[n].draw(values)))
+        return product + DAMPING * curvature * values
+
+    change = _conjugate_gradients(normal, np.float32(1) / curvature, residual, steps)
     return _changed(gaussians, change)
 
 

@@ -11,7 +11,6 @@ all, and turn "which colours look most like that picture" into linear least squa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting.blending import power_of_two
-from styl3r_cli.splatting.compiler import default_threads, kernel
+from styl3r_cli.splatting.compiler import in_threads, kernel
 from styl3r_cli.splatting.constants import (
     ALPHA_MAX,
     LOG2_INVERSE_ALPHA_MIN,
@@ -135,9 +134,7 @@ def trace(gaussians: Gaussians, camera: Camera, near: float) -> Trace:
 def look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:
     """Trace every camera's frame, several at a time."""
     near = near_plane(gaussians.means)
-    threads = default_threads() if threads is None else threads
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        return list(pool.map(lambda camera: trace(gaussians, camera, near), cameras))
+    return in_threads(lambda camera: trace(gaussians, camera, near), cameras, threads)
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
@@ -167,19 +167,28 @@ def parallel_for(
     if costs is not None:
         bounds[1:-1] = np.searchsorted(costs, costs[-1] * np.arange(1, parts) / parts)
     calls = [(b, e, *arguments, *scratch()) for b, e in pairwise(bounds.tolist()) if b < e]
-    if len(calls) <= 1:
-        for call in calls:
-            compiled(*call)
-        return
-    pool = _pool(default_threads() if threads is None else threads)
+    in_threads(lambda call: compiled(*call), calls, threads)
+
+
+def in_threads(work: Callable[[Any], Any], things: Sequence[Any], threads: int | None) -> list[Any]:
+    """The results of ``work`` on each of a few things, in their order.
+
+    Args:
+        work: leaves the GIL to others, as kernels and numpy do, and starts no threads itself.
+        things: what to do it with.
+        threads: how many to use; None for every core.
+    """
+    threads = default_threads() if threads is None else max(1, threads)
+    if len(things) <= 1 or threads == 1:
+        return [work(thing) for thing in things]
+    pool = _pool(threads)
     try:
-        futures = [pool.submit(compiled, *call) for call in calls]
-        for future in futures:
-            future.result()
+        futures = [pool.submit(work, thing) for thing in things]
+        return [future.result() for future in futures]
     except (KeyboardInterrupt, SystemExit):
         # It may have come while a thread was started, of which the pool does not know then: at
         # its exit Python would wait for that thread, and that thread for work.
-        _pools.pop((os.getpid(), threads or default_threads()), None)
+        _pools.pop((os.getpid(), threads), None)
         pool.shutdown(wait=False, cancel_futures=True)
         raise
 
