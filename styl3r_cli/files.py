@@ -19,6 +19,7 @@ from styl3r_cli.pipes import first_bytes, opened_at_once, reader_of
 
 TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
 STDOUT_CLOSED = "cannot write standard output: it is closed"
+WRITER = "writer"  # threads of this name may be writing files: a command's end waits for them
 TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
 
 

@@ -6,6 +6,7 @@ import errno
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
@@ -16,7 +17,7 @@ import click
 
 from styl3r_cli import __version__, console, memory
 from styl3r_cli.errors import BROKEN_PIPE, HANGUP, MEANINGS, TERMINATED, ExitCode, Styl3rError
-from styl3r_cli.files import ClosedOutput
+from styl3r_cli.files import WRITER, ClosedOutput
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
 # so that the list of commands needs none of their libraries.
@@ -134,7 +135,24 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         signal.signal(hangup, _terminate)
     if not sys.warnoptions:  # libraries' remarks on odd files are not for users; python -W shows
         warnings.simplefilter("ignore")
-    sys.exit(run(arguments))
+    _leave(run(arguments))
+
+
+def _leave(code: int) -> NoReturn:
+    """Exit, and leave it to the system to take back networks, scenes and compiled code.
+
+    Python would take them apart one by one, for 0.15 s. Threads that may be writing a file are
+    waited for.
+    """
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (OSError, ValueError, AttributeError):
+        sys.exit(code)  # which tells of it, or has to do without the stream
+    for thread in threading.enumerate():
+        if thread.name == WRITER:
+            thread.join()
+    os._exit(code)
 
 
 def _fill_standard_streams() -> None:
