@@ -194,3 +194,35 @@ def test_a_view_without_a_camera_repeats_nothing() -> None:
     scene, recovered = views(3)
     lost = replace(recovered, recovered=[True, False, True])
     assert Overlaps(scene, lost).kept[1].all()
+
+
+def floater(count: int, seen_by: tuple[int, ...] = (0,)) -> tuple[Scene, Recovered, FloatArray]:
+    """A wall, before which some views have a patch half as far that the others do not see."""
+    scene, recovered = views(count)
+    patch = np.zeros((count, SIDE, SIDE), np.bool_)
+    eyes = np.arange(count)[:, None, None] * STEP
+    place = scene.means[..., 0] / 2 + eyes / 2, scene.means[..., 1] / 2  # halfway to the wall
+    for view in seen_by:
+        patch[view] = (np.abs(place[0][view] - 0.5) < 0.3) & (np.abs(place[1][view]) < 0.3)
+    half = scene.means.copy()
+    half[..., 0] = place[0]
+    half[..., 1:] /= 2
+    scene.means[...] = np.where(patch[..., None], half, scene.means)
+    return scene, recovered, patch
+
+
+def test_what_two_views_look_through_and_no_other_sees_is_left_out() -> None:
+    scene, recovered, patch = floater(3)
+    assert patch.sum() > 80
+    kept = Overlaps(scene, recovered).kept
+    assert not kept[0][patch[0]].any()
+    scene, recovered, patch = floater(2)  # one view's word against another's
+    assert Overlaps(scene, recovered).kept[0][patch[0]].all()
+
+
+def test_what_another_view_sees_as_well_stays_though_two_look_through_it() -> None:
+    scene, recovered, patch = floater(4, seen_by=(0, 1))
+    kept = Overlaps(scene, recovered).kept
+    inner = patch[1] & (np.abs(scene.means[1, ..., 0] - 0.5) < 0.2)
+    assert inner.sum() > 20
+    assert kept[1][inner].all()
