@@ -222,7 +222,12 @@ scene_options = apply(
             f"from the photos' cameras and between them; {KEPT_DECIBELS:g}, which nobody sees, "
             "with --quality best.",
         ),
-        click.option("--all", "keep_all", is_flag=True, help="Keep every Gaussian: one a pixel."),
+        click.option(
+            "--all",
+            "keep_all",
+            is_flag=True,
+            help="Keep every Gaussian: one a pixel, of each surface one photo's.",
+        ),
         click.option(
             "--model",
             type=FILE,
