@@ -37,9 +37,12 @@ goes on where an interrupted one stopped; Ctrl-C writes the report of what there
 Agreement is PSNR against the first of all values. A precision below 30 dB in any view, or one that
 gives no finite scene, is shown as rejected and never recommended. With --holdout, PSNR and SSIM of
 pictures from the held-out photos' places are there too, with --cameras how far the found cameras
-are off: in degrees, as medians over the views, from the first view. LPIPS takes a network whose
-weights do not come with styl3r; python -m styl3r_export.evaluate.lpips makes NET.onnx of them.
-Bfloat16 is no precision here: onnxruntime has no convolutions and matrix products in it for CPUs.
+are off: in degrees, as medians over the views, from the first view. Where TRANSFORMS.json names
+depth pictures (depth_file_path, as the LiDAR apps' exports have it), so is how far depths are off:
+AbsRel and the share within a factor of 1.25, after one scale for all views. LPIPS takes a network
+whose weights do not come with styl3r; python -m styl3r_export.evaluate.lpips makes NET.onnx of
+them. Bfloat16 is no precision here: onnxruntime has no convolutions and matrix products in it for
+CPUs.
 """
 
 
@@ -66,8 +69,8 @@ Bfloat16 is no precision here: onnxruntime has no convolutions and matrix produc
     "--cameras",
     type=UserPath(),
     metavar="TRANSFORMS.json",
-    help="Where the photos were taken from, to compare the found cameras with; focal lengths in it "
-    "are used as `stylize --cameras` does.",
+    help="Where the photos were taken from, to compare the found cameras and depths with; focal "
+    "lengths in it are used as `stylize --cameras` does.",
 )
 @click.option(
     "--model",

@@ -27,7 +27,7 @@ from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.page import make_page
 from styl3r_cli.tradeoff.perceptual import Perceptual
 from styl3r_cli.tradeoff.points import GIVEN, Dials, Point
-from styl3r_cli.tradeoff.prepare import held_out_poses, model_folders, true_cameras
+from styl3r_cli.tradeoff.prepare import held_out_poses, model_folders, true_cameras, true_depths
 from styl3r_cli.tradeoff.rows import Advice, Row, advise, collect, flags
 from styl3r_cli.tradeoff.tables import plain, to_csv, to_text
 from styl3r_cli.tradeoff.truth import Truth
@@ -72,6 +72,7 @@ def run(request: Request) -> None:
     photos = expand(request.photos, [])
     check(request, photos)
     cameras = true_cameras(request.cameras, photos, console)
+    depths = true_depths(request.cameras, photos, request.sizes, console)
     side = request.sizes[0]
     perceptual = None if request.lpips is None else Perceptual(request.lpips, (side, side))
     work = request.output / WORK
@@ -87,9 +88,10 @@ def run(request: Request) -> None:
     dials = make_dials(request, len(photos), list(folders))
     points = dials.points(request.grid)
     pictures, poses = _held_out(request, photos, dials.reference, console)
-    truth = Truth(pictures, perceptual, cameras)
+    truth = Truth(pictures, perceptual, cameras, depths)
     bench = Bench(
-        *(work, photos, request.styles, request.fov, (side, side), folders, poses, request.cameras)
+        *(work, photos, request.styles, request.fov, (side, side), folders, poses, request.cameras),
+        depths=bool(depths),
     )
     if bench.resume():
         console.note(f"{request.output}: goes on with what was measured before")

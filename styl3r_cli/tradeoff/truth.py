@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.depth_errors import relative_errors, scale_to
 from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.poses import Array
 from styl3r_cli.frames import Picture
@@ -20,6 +21,7 @@ from styl3r_cli.tradeoff.perceptual import Perceptual
 # Names of the measures, as CSV and JSON have them.
 PSNR, SSIM, LPIPS = "truth_psnr", "truth_ssim", "truth_lpips"
 ROTATION, DIRECTION = "camera_rotation_degrees", "camera_direction_degrees"
+ABSREL, WITHIN = "depth_absrel", "depth_within_25_percent"
 
 
 class Column(NamedTuple):
@@ -41,6 +43,12 @@ COLUMNS = {
         "Cameras: how far rotations and directions of motion from the first view are off, medians "
         "over the others.",
     ),
+    "depth": Column(
+        (ABSREL, WITHIN),
+        "{:.3f}, {:.0%}",
+        "Depth: mean relative error, and the share of pixels within a factor of 1.25, of the "
+        "network's depths times one factor for all views; medians over the views.",
+    ),
 }
 
 
@@ -52,11 +60,13 @@ class Truth:
         pictures: held-out photos.
         perceptual: LPIPS of two pictures, or None.
         cameras: of each photo that was given, in any world.
+        depths: by the side of the network's pictures, see `true_depths`.
     """
 
     pictures: Sequence[Picture] = ()
     perceptual: Perceptual | None = None
     cameras: Sequence[Camera | None] = ()
+    depths: Mapping[int, Sequence[Array | None]] = field(default_factory=dict)
 
     def errors(self, made: Mapping[str, np.ndarray]) -> dict[str, float]:
         """Medians over held-out photos and over views of each measure that can be taken.
@@ -69,14 +79,30 @@ class Truth:
             for a, b in zip(made.get("held_out", ()), self.pictures, strict=False)
         ]
         turns = camera_errors(list(made["poses"]), self.cameras)
+        depths = self._depth_errors(made["depths"]) if "depths" in made else []
         values = {
             PSNR: [psnr(*pair) for pair in pairs],
             SSIM: [ssim(*pair) for pair in pairs],
             LPIPS: [self.perceptual(*pair) for pair in pairs] if self.perceptual else [],
             ROTATION: [turn for turn, _ in turns],
             DIRECTION: [direction for _, direction in turns],
+            ABSREL: [error for error, _ in depths],
+            WITHIN: [share for _, share in depths],
         }
         return {name: statistics.median(found) for name, found in values.items() if found}
+
+    def _depth_errors(self, found: np.ndarray) -> list[tuple[float, float]]:
+        """Of each view (N, H, W) whose depths are known, after one scale for all of them."""
+        truths = self.depths.get(found.shape[1], ())
+        pairs = [
+            (depths[truth > 0], truth[truth > 0])
+            for depths, truth in zip(found, truths, strict=False)
+            if truth is not None and truth.any()
+        ]
+        if not pairs:
+            return []
+        factor = scale_to(*(np.concatenate(each) for each in zip(*pairs, strict=True)))
+        return [relative_errors(factor * depths, truth) for depths, truth in pairs]
 
 
 def camera_errors(

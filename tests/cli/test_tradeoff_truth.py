@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 from tiny_model import BASELINE, parse_graph
 
@@ -179,3 +180,88 @@ def test_lpips_needs_a_graph_and_something_to_compare_with(
         code, _, err = measure(*photos[:2], "--holdout", photos[2], *target, "--lpips", path)
         assert (code, "cannot be loaded" in err, err.count("\n")) == (4, True, 1), err
     assert not (tmp_path / "r").exists()
+
+
+def write_depths(cameras: Path, photos: list[Path], factors: list[float]) -> list[Path]:
+    """The tiny model's depths times factors, in millimetres of the cameras' world, beside them.
+
+    The first is half the photo's resolution and not known everywhere, the second an array.
+    """
+    write_cameras(cameras, photos, [0] * len(photos), [0] * len(photos))
+    paths = []
+    for index, (photo, factor) in enumerate(zip(photos, factors, strict=True)):
+        with Image.open(photo) as picture:
+            depth = 2 + np.asarray(picture).mean(axis=2) / 255
+        depth *= factor * UNIT * 1000
+        if index == 1:
+            paths.append(cameras.with_name("1.npy"))
+            np.save(paths[-1], depth.astype(np.float32))
+            continue
+        if index == 0:
+            depth = depth.reshape(40, 2, 48, 2).mean(axis=(1, 3))
+            depth[:, 24:] = 0
+        paths.append(cameras.with_name(f"{index}.png"))
+        Image.fromarray(depth.round().astype(np.uint16)).save(paths[-1])
+    content = json.loads(cameras.read_text())
+    for frame, path in zip(content["frames"], paths, strict=True):
+        frame["depth_file_path"] = path.name
+    cameras.write_text(json.dumps(content))
+    return paths
+
+
+def test_named_depths_are_the_truth_in_any_unit(
+    measure: Run, here: list[dict[str, Any]], photos: list[Path], tmp_path: Path
+) -> None:
+    """The third view's depths are half as large again; of two views, all are right."""
+    cameras, target = tmp_path / "cameras.json", tmp_path / "r"
+    write_depths(cameras, photos, [1, 1, 1.5])
+    plain = (*photos, "-o", target, "--cameras", cameras, *ONE)
+    plain = (*plain, "--sizes", "64,48", "--views", "3,2")
+    code, out, err = measure(*plain)
+    assert code == 0, err
+    points = json.loads((target / "tradeoff.json").read_text())["points"]
+    errors = {(p["size"], p["views"]): p["depth_absrel"] for p in points}
+    # Medians of a view that is not known on one side, and of what the crop leaves of the others.
+    seen = [np.asarray(Image.open(photo)).mean(axis=2)[:, 8:88] / 255 + 2 for photo in photos]
+    seen[0] = seen[0][:, :40]
+    true = np.concatenate([seen[0].ravel(), seen[1].ravel(), 1.5 * seen[2].ravel()])
+    scale = np.median(true) / np.median(np.concatenate([each.ravel() for each in seen]))
+    assert 1.01 < scale < 1.2
+    assert errors[64, 3] == pytest.approx(scale - 1, abs=0.01)
+    assert errors[48, 3] == pytest.approx(scale - 1, abs=0.01)
+    assert errors[64, 2] < 0.01
+    assert [p["depth_within_25_percent"] for p in points] == [1, 1, 1]  # of two views in three
+    assert f"{errors[64, 3]:.3f}, 100%" in out.decode()
+    assert "<th>depth" in (target / "index.html").read_text()
+
+    write_depths(cameras, photos, [1, 1.5, 1.5])
+    assert measure(*plain)[0] == 0
+    assert len(here) == 3  # what was measured is compared with other depths
+    points = json.loads((target / "tradeoff.json").read_text())["points"]
+    assert [p["depth_absrel"] > 0.1 for p in points if p["views"] == 2] == [True]
+
+
+def test_depths_that_are_none_are_refused(
+    measure: Run, here: list[dict[str, Any]], photos: list[Path], tmp_path: Path
+) -> None:
+    cameras, target = tmp_path / "cameras.json", tmp_path / "r"
+    plain = (*photos, "-o", target, "--cameras", cameras, *ONE)
+    first, second, third = write_depths(cameras, photos, [1, 1, 1])
+    third.unlink()
+    code, _, err = measure(*plain)
+    assert (code, f"{third}: cannot be read: No such file" in err) == (3, True), err
+    Image.new("L", (96, 80), 200).save(third)
+    code, _, err = measure(*plain)
+    assert (code, f"{third}: no depth picture" in err, err.count("\n")) == (3, True, 1), err
+    Image.fromarray(np.ones((96, 80), np.uint16)).save(third)
+    code, _, err = measure(*plain)
+    assert (code, f"{third}: 80x96 pixels are another shape" in err) == (3, True), err
+    assert not target.exists()
+
+    for path in (first, third):
+        Image.fromarray(np.zeros((80, 96), np.uint16)).save(path)
+    np.save(second, np.full((80, 96), np.nan, np.float32))
+    code, _, err = measure(*plain, "--views", 2)
+    assert (code, err.count("knows no depth")) == (0, 3), err
+    assert "depth" not in (target / "tradeoff.csv").read_text()
+    assert [job["depths"] for job in here] == [False]
