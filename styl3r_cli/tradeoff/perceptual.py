@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from styl3r_cli.errors import ModelError
+from styl3r_cli.errors import ModelError, UsageError
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.sessions import Graph
 
 # Names and ranks, all float32: two pictures (1, 3, H, W), sRGB in [0, 1], and their distance (1,).
 INPUTS = {"image": 4, "reference": 4}
 OUTPUTS = {"distance": 1}
+# Pixels that AlexNet's poolings leave something of; onnxruntime ends the process over nothing.
+LEAST_SIDE = 31
 # What equal pictures may be apart: features in half precision round by less.
 NOTHING = 1e-3
 
@@ -31,10 +33,15 @@ class Perceptual:
         Raises:
             ModelError: it cannot be loaded, has another signature, does not take such pictures,
                 or measures no distance.
+            UsageError: such pictures are too small.
         """
+        width, height = size
+        if min(size) < LEAST_SIDE:
+            raise UsageError(
+                f"--lpips: pictures of {width}x{height}; it takes {LEAST_SIDE} pixels or more"
+            )
         self._graph = Graph.load(path, "cpu", threads)
         self._graph.check(INPUTS, {}, OUTPUTS)
-        width, height = size
         grey = np.full((height, width, 3), 0.5, np.float32)
         apart = self(grey, grey)
         if not abs(apart) <= NOTHING:

@@ -171,9 +171,12 @@ def test_other_graphs_are_no_lpips(
 
 
 def test_lpips_needs_a_graph_and_something_to_compare_with(
-    measure: Run, photos: list[Path], tmp_path: Path
+    measure: Run, photos: list[Path], tmp_path: Path, write_graph: Callable[..., Path]
 ) -> None:
     target = ("-o", tmp_path / "r", *ONE)
+    held_out = ("--holdout", photos[2], "--lpips", write_graph(), "--sizes", 16)
+    code, _, err = measure(*photos[:2], *target, *held_out)
+    assert (code, "31 pixels" in err) == (2, True), err
     code, _, err = measure(*photos, *target, "--lpips", photos[0])
     assert (code, "--holdout" in err) == (2, True), err
     for path in (photos[0], tmp_path / "none.onnx"):

@@ -21,7 +21,7 @@ from torch.nn import functional as F
 
 from styl3r_cli.errors import InputError, ModelError, Styl3rError
 from styl3r_cli.files import atomic_write
-from styl3r_cli.tradeoff.perceptual import INPUTS, OUTPUTS, Perceptual
+from styl3r_cli.tradeoff.perceptual import INPUTS, LEAST_SIDE, OUTPUTS, Perceptual
 from styl3r_export.curriculum.teachers import load_npz
 from styl3r_export.graph_passes import simplify
 from styl3r_export.onnx_export import trace
@@ -36,8 +36,7 @@ NAMES = {
     *(f"features.{layer}.{part}" for layer, *_ in LAYERS for part in ("weight", "bias")),
     *(f"lin{level}.weight" for level in range(len(LAYERS))),
 }
-# The least that its poolings leave something of, and the most that the tracer is told of.
-LEAST_SIDE, MOST_SIDE = 31, 4096
+MOST_SIDE = 4096  # that the tracer is told of
 TRACED = (48, 65)  # height and width that the trace sees
 CHECKED = ((LEAST_SIDE, 40), (64, 64), (131, 90), (256, 256))  # and those it is verified with
 
