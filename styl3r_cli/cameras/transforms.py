@@ -44,6 +44,7 @@ class CameraFile:
         notes: one line each on what was ignored.
         fps: frames per second, if the file says.
         loop: whether the last frame leads to the first, if the file says.
+        depth_paths: as many paths of depth pictures, empty where there is none.
     """
 
     cameras: list[Camera]
@@ -51,6 +52,7 @@ class CameraFile:
     notes: list[str]
     fps: float | None = None
     loop: bool | None = None
+    depth_paths: Sequence[str] = ()
 
 
 def write_transforms(path: Path, cameras: Sequence[Camera], file_paths: Sequence[str]) -> None:
@@ -106,7 +108,7 @@ def transforms_of(
     if not isinstance(frames, list) or not frames:
         hint = " (a nerfstudio camera path?)" if "camera_path" in content else ""
         raise InputError(f"{name}: no 'frames'{hint}; expected nerfstudio's transforms.json")
-    cameras, file_paths, distorted = [], [], 0
+    cameras, file_paths, depth_paths, distorted = [], [], [], 0
     for index, frame in enumerate(frames):
         where = f"{name}: frame {index + 1}"
         if not isinstance(frame, dict):
@@ -114,13 +116,15 @@ def transforms_of(
         values = {**content, **frame}
         cameras.append(_camera(values, size, where))
         file_paths.append(str(frame.get("file_path", "")))
+        depth_paths.append(str(frame.get("depth_file_path") or ""))
         distorted += any(number(values, key, where) for key in DISTORTION)
     notes = []
     if distorted:
         notes.append(f"{name}: lens distortion in {distorted} frames is ignored; undistort first")
     fps, loop = rate(content, name), content.get("is_cycle")
     fps = fps if fps and fps > 0 else None
-    return CameraFile(cameras, file_paths, notes, fps, loop if isinstance(loop, bool) else None)
+    loop = loop if isinstance(loop, bool) else None
+    return CameraFile(cameras, file_paths, notes, fps, loop, depth_paths)
 
 
 def known_cameras(source: Path, photos: Sequence[Path]) -> tuple[dict[Path, Camera], list[str]]:
@@ -133,10 +137,7 @@ def known_cameras(source: Path, photos: Sequence[Path]) -> tuple[dict[Path, Came
 def cameras_of_photos(
     file: CameraFile, photos: Sequence[Path], name: str = "the camera file"
 ) -> tuple[dict[Path, Camera], list[str]]:
-    """The cameras that belong to the photos, matched by file name.
-
-    Where several frames have a photo's file name, the one that agrees with most of its path is
-    taken. Photos with no frame are left out and named in a note.
+    """The cameras that belong to the photos; those with no frame are named in a note.
 
     Returns:
         Cameras by photo, and notes.
@@ -144,16 +145,27 @@ def cameras_of_photos(
     Raises:
         InputError: no frame names any of the photos.
     """
-    found: dict[Path, Camera] = {}
-    for photo in photos:
-        scores = [_common_end(photo, path) for path in file.file_paths]
-        best = max(range(len(scores)), key=scores.__getitem__)
-        if scores[best]:
-            found[photo] = file.cameras[best]
+    frames = frames_of_photos(file, photos)
+    found = {photo: file.cameras[frame] for photo, frame in frames.items()}
     missing = [photo.name for photo in photos if photo not in found]
     if not found:
         raise InputError(f"{name}: no frame's file_path is one of the photos ({missing[0]}, ...)")
     return found, [f"{name}: no camera for {', '.join(missing)}"] if missing else []
+
+
+def frames_of_photos(file: CameraFile, photos: Sequence[Path]) -> dict[Path, int]:
+    """The index of the frame that belongs to each photo, matched by file name.
+
+    Where several frames have a photo's file name, the one that agrees with most of its path is
+    taken. Photos with no frame are left out.
+    """
+    found: dict[Path, int] = {}
+    for photo in photos:
+        scores = [_common_end(photo, path) for path in file.file_paths]
+        best = max(range(len(scores)), key=scores.__getitem__)
+        if scores[best]:
+            found[photo] = best
+    return found
 
 
 def _common_end(photo: Path, file_path: str) -> int:

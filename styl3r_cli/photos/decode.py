@@ -103,20 +103,27 @@ def decode(path: Path) -> Decoded:
     Raises:
         InputError: the file cannot be read, is no picture, is damaged or too large.
     """
-    with _failures_named(path):
+    with opened_picture(path) as opened:
+        notes: list[str] = []
+        focal = read_equivalent_focal(opened)
+        image = _upright(_to_srgb(opened, notes), opened)
+    return Decoded(image, focal, [f"{path.name}: {note}" for note in notes])
+
+
+@contextmanager
+def opened_picture(path: Path) -> Iterator[Image.Image]:
+    """A picture with its pixels as the file has them; raises as `decode`, in the block too."""
+    with failures_named(path):
         data = read_file(path)
         _refuse_by_content(path, data)
         with Image.open(io.BytesIO(data), formats=_formats()) as opened:
             _refuse_bombs(path, opened.width * opened.height, len(data))
             opened.load()
-            notes: list[str] = []
-            focal = read_equivalent_focal(opened)
-            image = _upright(_to_srgb(opened, notes), opened)
-    return Decoded(image, focal, [f"{path.name}: {note}" for note in notes])
+            yield opened
 
 
 @contextmanager
-def _failures_named(path: Path) -> Iterator[None]:
+def failures_named(path: Path) -> Iterator[None]:
     """Any way in which a decoder fails becomes one line that names the file."""
     # Pillow warns at its limit and refuses at twice that; the limit is the process's.
     Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2

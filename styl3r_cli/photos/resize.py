@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -51,6 +53,23 @@ def fit_intrinsics(
     normalised = intrinsics / np.array([[photo_size[0]], [photo_size[1]], [1.0]])
     magnified = np.array([[resized_width / width], [resized_height / height], [1.0]])
     return ((normalised - centre) * magnified + centre).astype(np.float32)
+
+
+def fit_map(
+    values: NDArray[Any], photo_size: tuple[int, int], size: tuple[int, int]
+) -> NDArray[Any]:
+    """What lies over a photo, as `fit_photo` shows the photo; the nearest value for each pixel.
+
+    Args:
+        values: (h, w) over the whole photo, in any resolution.
+        photo_size: (width, height) of the photo before `fit_photo`.
+        size: (height, width) of the result.
+    """
+    rows, columns = (
+        ((np.arange(side) + (whole - side) // 2 + 0.5) / whole * given).astype(np.intp)
+        for side, whole, given in zip(size, _covering(photo_size, size), values.shape, strict=True)
+    )
+    return values[np.ix_(rows, columns)]
 
 
 def fit_style(image: Image.Image, side: int) -> NDArray[np.uint8]:

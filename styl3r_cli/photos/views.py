@@ -79,11 +79,15 @@ def view_intrinsics(
     return matrices, sources
 
 
-def _scaled_camera(camera: Camera, width: int, height: int, name: str) -> Camera:
-    ratio = (camera.width / camera.height) / (width / height)
+def same_shape(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    """Whether one (width, height) can be of a scaled copy of a picture of the other."""
     # Rounding to whole pixels may change a tiny frame's shape by more than the tolerance.
-    allowed = ASPECT_TOLERANCE + 1 / min(camera.width, camera.height, width, height)
-    if abs(ratio - 1) > allowed:
+    allowed = ASPECT_TOLERANCE + 1 / min(*a, *b)
+    return abs((a[0] / a[1]) / (b[0] / b[1]) - 1) <= allowed
+
+
+def _scaled_camera(camera: Camera, width: int, height: int, name: str) -> Camera:
+    if not same_shape((camera.width, camera.height), (width, height)):
         raise InputError(
             f"{name}: the photo is {width}x{height}, but its camera is for "
             f"{camera.width}x{camera.height}; cameras must be of the photos as shown"

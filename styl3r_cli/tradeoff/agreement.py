@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
-from styl3r_cli.cameras.poses import Array, blend, from_camera, to_camera
+from styl3r_cli.cameras.poses import blend, from_camera, to_camera
 from styl3r_cli.frames import Picture, to_picture
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.picture_metrics import psnr, ssim
@@ -61,29 +60,6 @@ def _difference(name: str, scene: Gaussians, reference: Gaussians) -> Difference
     off = value - truth
     size = max(float(np.sqrt(np.square(truth).mean())), float(np.finfo(np.float32).tiny))
     return Difference(float(np.abs(off).max()), float(np.sqrt(np.square(off).mean())) / size)
-
-
-def camera_errors(
-    found: Sequence[Array], truth: Sequence[Camera | None]
-) -> list[tuple[float, float]]:
-    """Degrees by which the found motion from the first view to each other one is off.
-
-    Rotation, and direction of translation: how far it goes depends on the unit of length, which
-    pictures do not tell. A view whose camera is not known is left out.
-
-    Args:
-        found: (4, 4) world-to-camera, of as many views as were used.
-        truth: one per photo, in any world; none, or the first view's among them.
-    """
-    if not truth or truth[0] is None:
-        return []
-    first = truth[0].extrinsics
-    motions = [
-        (motion(found[0], pose), motion(first, camera.extrinsics))
-        for pose, camera in zip(found[1:], truth[1:], strict=False)
-        if camera is not None
-    ]
-    return [(rotation_error(*both), direction_error(*both)) for both in motions]
 
 
 def between(cameras: Sequence[Camera]) -> list[Camera]:

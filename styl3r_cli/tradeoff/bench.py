@@ -30,6 +30,7 @@ class Bench:
         models: the model folder of each precision.
         held_out: poses of held-out photos and of the views in one world, or None.
         cameras: a file of the photos' true cameras, or None; their lenses are the network's too.
+        depths: whether the views' depths are kept too, to be compared with true ones.
         results: by point and repeat.
     """
 
@@ -41,6 +42,7 @@ class Bench:
     models: dict[str, str]
     held_out: dict[str, Any] | None = None
     cameras: Path | None = None
+    depths: bool = False
     results: dict[tuple[str, int], dict[str, Any]] = field(default_factory=dict)
 
     def fingerprint(self) -> str:
@@ -52,7 +54,7 @@ class Bench:
             for name, folder in self.models.items()
         }
         cameras = self.cameras and hashlib.sha256(self.cameras.read_bytes()).hexdigest()
-        inputs = [told, self.fov, self.frame, models, self.held_out, cameras]
+        inputs = [told, self.fov, self.frame, models, self.held_out, cameras, self.depths]
         text = json.dumps(inputs, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -117,6 +119,7 @@ class Bench:
             "model": self.models[point.precision],
             "held_out": self.held_out,
             "cameras": str(self.cameras) if self.cameras else None,
+            "depths": self.depths,
             "pictures": str(self.arrays_of(point)) if repeat == 0 else None,
         }
 

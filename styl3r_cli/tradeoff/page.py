@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import statistics
 from collections.abc import Sequence
 from html import escape
 
@@ -14,6 +13,7 @@ from styl3r_cli.frames import Picture
 from styl3r_cli.tradeoff import plots
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, BROKEN_DB
 from styl3r_cli.tradeoff.rows import MEGABYTE, Advice, Row, flags
+from styl3r_cli.tradeoff.truth import cells, known_headings, meanings
 
 ERROR_GAIN = 8  # differences are shown so many times enlarged, or an eye could not see most
 JPEG_QUALITY = 92
@@ -57,8 +57,8 @@ def make_page(
         "<p>Agreement is the PSNR of pictures against the reference's (the first row), at the "
         "photos' cameras and halfway between them; 'worst' is the view that agrees least. A "
         f"precision below {BROKEN_DB:g} dB there breaks the scene: it is struck out and never "
-        "recommended. Seconds are medians of repeats after a warm-up. Cameras: how far rotations "
-        "and directions of motion from the first view are off, medians over the others.</p>",
+        "recommended. Seconds are medians of repeats after a warm-up. "
+        f"{' '.join(meanings([row.errors for row in rows]))}</p>",
         f"<h2>Plots</h2>{without}<div class=plots>{''.join(drawn)}</div>",
         "<h2>Pictures</h2><p>Each setting's worst view: the setting, the reference, and their "
         f"difference {ERROR_GAIN} times enlarged.</p>",
@@ -80,40 +80,43 @@ def _advice(advice: Sequence[Advice], rows: Sequence[Row]) -> str:
 
 
 def _table(rows: Sequence[Row]) -> str:
-    head = "".join(
-        f"<th>{name}"
-        for name in (
-            *("setting", "structure", "appearance", "compact", "frame", "memory", "file", "model"),
-            *("Gaussians", "input views", "novel views", "SSIM", "held out", "cameras"),
-            *(f"{name} error" for name in ATTRIBUTES),
-        )
+    known = known_headings([row.errors for row in rows])
+    names = (
+        *("setting", "structure", "appearance", "compact", "frame", "memory", "file", "model"),
+        *("Gaussians", "input views", "novel views", "SSIM", *known),
+        *(f"{name} error" for name in ATTRIBUTES),
     )
-    return f"<table><tr>{head}{''.join(_line(row, rows[0]) for row in rows)}</table>"
+    head = "".join(f"<th>{name}" for name in names)
+    lines = (
+        f"<tr class=rejected><td>{escape(plots.turned(row, rows[0]))}"
+        f"<td colspan={len(names) - 1}>{escape(row.failed)}"
+        if row.failed
+        else _line(row, rows[0], known)
+        for row in rows
+    )
+    return f"<table><tr>{head}{''.join(lines)}</table>"
 
 
-def _line(row: Row, reference: Row) -> str:
-    name = escape(plots.turned(row, reference))
-    if row.failed:
-        return f"<tr class=rejected><td>{name}<td colspan=18>{escape(row.failed)}"
+def _line(row: Row, reference: Row, known: Sequence[str]) -> str:
     s = row.seconds
-    cells = [f"{s[stage]:.3f} s" for stage in ("structure", "appearance", "compact")]
-    cells.append(f"{1e3 * s['frame']:.0f} ms")
-    cells += [f"{size / MEGABYTE:.1f} MB" for size in (row.memory, row.bytes, row.model_bytes)]
-    cells.append(f"{row.gaussians:,}")
+    texts = [f"{s[stage]:.3f} s" for stage in ("structure", "appearance", "compact")]
+    texts.append(f"{1e3 * s['frame']:.0f} ms")
+    texts += [f"{size / MEGABYTE:.1f} MB" for size in (row.memory, row.bytes, row.model_bytes)]
+    texts.append(f"{row.gaussians:,}")
     for novel in (False, True):
         seen = [view.psnr for view in row.views if view.novel == novel]
-        cells.append(f"{min(seen):.1f} dB" if seen else "")
-    cells.append(f"{min(view.ssim for view in row.views):.4f}" if row.views else "")
-    cells.append(f"{statistics.median(v for v, _ in row.truth):.1f} dB" if row.truth else "")
-    cells.append("{:.2f}°, {:.2f}°".format(*row.camera_error) if row.camera_error else "")
-    cells += [
+        texts.append(f"{min(seen):.1f} dB" if seen else "")
+    texts.append(f"{min(view.ssim for view in row.views):.4f}" if row.views else "")
+    texts += cells(row.errors, known)
+    texts += [
         f"{row.attributes[a].relative:.1e} ({row.attributes[a].largest:.1e})"
         if row.attributes
         else ""
         for a in ATTRIBUTES
     ]
     mark = " class=rejected" if row.rejected(reference.point) else ""
-    return f"<tr{mark}><td>{name}" + "".join(f"<td>{cell}" for cell in cells)
+    name = escape(plots.turned(row, reference))
+    return f"<tr{mark}><td>{name}" + "".join(f"<td>{text}" for text in texts)
 
 
 def _figure(row: Row, reference: Row, seen: Picture | None) -> str:

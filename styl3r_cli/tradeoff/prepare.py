@@ -1,4 +1,4 @@
-"""What has to be there before points are measured: other precisions, and held-out cameras."""
+"""What has to be there before points are measured: other precisions, and what is true."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.poses import Array
 from styl3r_cli.cameras.recover import recover
-from styl3r_cli.cameras.transforms import known_cameras
+from styl3r_cli.cameras.transforms import frames_of_photos, known_cameras, read_transforms
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, ModelError
 from styl3r_cli.graphs import find
 from styl3r_cli.manifest import MANIFEST, read_manifest
 from styl3r_cli.photos import load_photos, load_style
+from styl3r_cli.photos.depth import read_depth
+from styl3r_cli.photos.resize import fit_map
+from styl3r_cli.photos.views import same_shape
 from styl3r_cli.pipeline import Stylizer
 from styl3r_cli.tradeoff.points import GIVEN
 
@@ -96,6 +102,52 @@ def true_cameras(
     for note in notes:
         console.note(note)
     return [found.get(photo) for photo in photos]
+
+
+def true_depths(
+    source: Path | None, photos: Sequence[Path], sides: Sequence[int], console: Console
+) -> dict[int, list[Array | None]]:
+    """How far away things are at the pixels of the network's pictures, as a camera file names it.
+
+    The file's unit of length is not asked for: depths are compared after scaling.
+
+    Args:
+        source: a transforms.json whose frames have a `depth_file_path`, or None.
+        photos: the views.
+        sides: of the network's square pictures, pixels.
+        console: told of depth pictures that know nothing.
+
+    Returns:
+        By side, for each photo, (side, side) depths along the view axis, 0 where it is not known;
+        None for a photo without depths. Empty where no photo has any.
+
+    Raises:
+        InputError: a depth picture cannot be read, or has another shape than its photo.
+    """
+    if source is None:
+        return {}
+    file = read_transforms(source)
+    maps: dict[int, list[Array | None]] = {side: [None] * len(photos) for side in sides}
+    known = False
+    for photo, frame in frames_of_photos(file, photos).items():
+        if not file.depth_paths[frame]:
+            continue
+        path = source.parent / file.depth_paths[frame].replace("\\", "/")
+        values, size = read_depth(path), (file.cameras[frame].width, file.cameras[frame].height)
+        if not same_shape(values.shape[::-1], size):
+            shapes = [f"{across}x{down}" for across, down in (values.shape[::-1], size)]
+            raise InputError(
+                f"{path}: {shapes[0]} pixels are another shape than {photo.name}'s {shapes[1]}"
+            )
+        values = np.where(np.isfinite(values) & (values > 0), values, 0)
+        if not values.any():
+            console.note(f"{path}: knows no depth")
+            continue
+        known = True
+        for side in sides:
+            found = fit_map(values, size, (side, side)).astype(np.float64)
+            maps[side][photos.index(photo)] = found
+    return maps if known else {}
 
 
 def held_out_poses(

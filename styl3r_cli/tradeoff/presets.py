@@ -25,6 +25,7 @@ from styl3r_cli.splatting.timing import machine
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.points import AS_NEEDED, COLOURS, GIVEN, WHOLE, Point
 from styl3r_cli.tradeoff.rows import Row, collect
+from styl3r_cli.tradeoff.truth import Truth
 
 EXAMPLE = Path("examples/room")
 STYLES = ("night", "ink", "wave")
@@ -75,7 +76,7 @@ def measure(repeats: int) -> dict[str, Any]:
                 {GIVEN: str(find("mini"))},
             )
             bench.run(every, repeats)
-            by_style.append({row.point: row for row in collect(bench, every, [])})
+            by_style.append({row.point: row for row in collect(bench, every, Truth())})
     return {
         command: {quality: _promise(command, point, by_style) for quality, point in each.items()}
         for command, each in wanted.items()

@@ -25,10 +25,12 @@ from styl3r_cli.pipes import is_pipe
 from styl3r_cli.sessions import available_cores
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.page import make_page
+from styl3r_cli.tradeoff.perceptual import Perceptual
 from styl3r_cli.tradeoff.points import GIVEN, Dials, Point
-from styl3r_cli.tradeoff.prepare import held_out_poses, model_folders, true_cameras
+from styl3r_cli.tradeoff.prepare import held_out_poses, model_folders, true_cameras, true_depths
 from styl3r_cli.tradeoff.rows import Advice, Row, advise, collect, flags
 from styl3r_cli.tradeoff.tables import plain, to_csv, to_text
+from styl3r_cli.tradeoff.truth import Truth
 
 MOST_VIEWS = 8
 PAGE, CSV, JSON = "index.html", "tradeoff.csv", "tradeoff.json"
@@ -43,6 +45,7 @@ class Request:
     styles: tuple[Path, ...]
     output: Path
     holdout: tuple[str, ...]
+    lpips: Path | None
     cameras: Path | None
     model: str
     precisions: tuple[str, ...]
@@ -69,6 +72,9 @@ def run(request: Request) -> None:
     photos = expand(request.photos, [])
     check(request, photos)
     cameras = true_cameras(request.cameras, photos, console)
+    depths = true_depths(request.cameras, photos, request.sizes, console)
+    side = request.sizes[0]
+    perceptual = None if request.lpips is None else Perceptual(request.lpips, (side, side))
     work = request.output / WORK
     try:
         work.mkdir(parents=True, exist_ok=True)
@@ -81,10 +87,11 @@ def run(request: Request) -> None:
     )
     dials = make_dials(request, len(photos), list(folders))
     points = dials.points(request.grid)
-    truths, poses = _held_out(request, photos, dials.reference, console)
-    side = dials.reference.size
+    pictures, poses = _held_out(request, photos, dials.reference, console)
+    truth = Truth(pictures, perceptual, cameras, depths)
     bench = Bench(
-        *(work, photos, request.styles, request.fov, (side, side), folders, poses, request.cameras)
+        *(work, photos, request.styles, request.fov, (side, side), folders, poses, request.cameras),
+        depths=bool(depths),
     )
     if bench.resume():
         console.note(f"{request.output}: goes on with what was measured before")
@@ -94,7 +101,7 @@ def run(request: Request) -> None:
             bench.run(points, request.repeats, done)
     except KeyboardInterrupt as error:
         interrupted = error
-    rows = collect(bench, points, truths, cameras)
+    rows = collect(bench, points, truth)
     if rows and not rows[0].failed:
         write(request, bench, rows)
     elif rows:
@@ -118,6 +125,8 @@ def check(request: Request, photos: Sequence[Path]) -> None:
             raise UsageError(f"--sizes {size}: sides must be multiples of 16")
     if request.views and max(request.views) > len(photos):
         raise UsageError(f"--views {max(request.views)}: there are {len(photos)} photos")
+    if request.lpips is not None and not request.holdout:
+        raise UsageError("--lpips: there are no pictures to measure it of; name some by --holdout")
     for style in request.styles:
         if not style.exists():
             raise InputError(f"{style}: no such style picture")
@@ -128,7 +137,8 @@ def check(request: Request, photos: Sequence[Path]) -> None:
 
 def _files(request: Request) -> list[Path]:
     """What is read beside the photos."""
-    return [*request.styles, *([] if request.cameras is None else [request.cameras])]
+    others = (request.cameras, request.lpips)
+    return [*request.styles, *(path for path in others if path is not None)]
 
 
 def make_dials(request: Request, photos: int, precisions: Sequence[str]) -> Dials:

@@ -9,23 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.frames import Picture
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.picture_metrics import psnr, ssim
 from styl3r_cli.tradeoff.agreement import (
     ATTRIBUTES,
     BROKEN_DB,
     Difference,
     View,
-    camera_errors,
     compare_pictures,
     differences,
-    unit,
 )
 from styl3r_cli.tradeoff.agreement import worst as worst_of
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.points import AS_NEEDED, Point
+from styl3r_cli.tradeoff.truth import Truth
 
 # Agreement in every view that deserves a name: at 40 dB pictures that alternate on a screen show
 # no difference, at 35 dB it has to be looked for, at 30 dB it is seen side by side.
@@ -48,8 +44,7 @@ class Row:
         repeats: how often it was measured.
         attributes: how far the Gaussians are off, where they correspond.
         views: how alike its pictures are to the reference's.
-        truth: PSNR and SSIM at each held-out photo.
-        cameras: degrees by which each further view's rotation and direction are off, where known.
+        errors: how far it is from what is known to be true, see `Truth.errors`.
         failed: why there is nothing to show, or "".
     """
 
@@ -62,17 +57,8 @@ class Row:
     repeats: int = 0
     attributes: dict[str, Difference] = field(default_factory=dict)
     views: list[View] = field(default_factory=list)
-    truth: list[tuple[float, float]] = field(default_factory=list)
-    cameras: list[tuple[float, float]] = field(default_factory=list)
+    errors: dict[str, float] = field(default_factory=dict)
     failed: str = ""
-
-    @property
-    def camera_error(self) -> tuple[float, float] | None:
-        """Medians over views of both errors of cameras; None where none is known."""
-        if not self.cameras:
-            return None
-        turns, directions = zip(*self.cameras, strict=True)
-        return statistics.median(turns), statistics.median(directions)
 
     @property
     def worst(self) -> float:
@@ -85,19 +71,13 @@ class Row:
         return bool(self.failed) or (lower and not self.worst >= BROKEN_DB)
 
 
-def collect(
-    bench: Bench,
-    points: Sequence[Point],
-    held_out: Sequence[Picture],
-    cameras: Sequence[Camera | None] = (),
-) -> list[Row]:
+def collect(bench: Bench, points: Sequence[Point], truth: Truth) -> list[Row]:
     """A row for each point that has been measured, the reference first.
 
     Args:
         bench: what was measured.
         points: all of them.
-        held_out: photos to compare with.
-        cameras: the photos' true ones.
+        truth: what to compare with.
     """
     reference = _arrays(bench, points[0])
     rows = []
@@ -108,7 +88,7 @@ def collect(
         if "failed" in results[0]:
             rows.append(Row(point, failed=results[0]["failed"]))
             continue
-        rows.append(_row(bench, point, results, reference, held_out, cameras))
+        rows.append(_row(bench, point, results, reference, truth))
     return rows
 
 
@@ -117,8 +97,7 @@ def _row(
     point: Point,
     results: Sequence[dict[str, Any]],
     reference: dict[str, np.ndarray] | None,
-    held_out: Sequence[Picture],
-    cameras: Sequence[Camera | None],
+    truth: Truth,
 ) -> Row:
     stages = results[0]["seconds"]
     seconds = {s: statistics.median(r["seconds"][s] for r in results) for s in stages}
@@ -137,9 +116,7 @@ def _row(
         return row
     row.attributes = differences(*corresponding(made, reference))
     row.views = _views(made, reference)
-    row.cameras = camera_errors(list(made["poses"]), cameras)
-    pairs = zip(made.get("held_out", []), held_out, strict=False)
-    row.truth = [(psnr(unit(a), unit(b)), ssim(unit(a), unit(b))) for a, b in pairs]
+    row.errors = truth.errors(made)
     return row
 
 

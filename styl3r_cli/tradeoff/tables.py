@@ -10,6 +10,9 @@ from typing import Any
 
 from styl3r_cli.tradeoff.points import Point
 from styl3r_cli.tradeoff.rows import MEGABYTE, Row
+from styl3r_cli.tradeoff.truth import cells, known_headings
+
+ERROR_WIDTH = 15  # characters of a column
 
 
 def plain(row: Row, reference: Point) -> dict[str, Any]:
@@ -30,12 +33,7 @@ def plain(row: Row, reference: Point) -> dict[str, Any]:
             found[f"{label}_psnr_worst"] = min(view.psnr for view in seen)
             found[f"{label}_psnr_median"] = statistics.median(view.psnr for view in seen)
             found[f"{label}_ssim_median"] = statistics.median(view.ssim for view in seen)
-    if row.truth:
-        found["truth_psnr"] = statistics.median(value for value, _ in row.truth)
-        found["truth_ssim"] = statistics.median(value for _, value in row.truth)
-    if row.camera_error:
-        found["camera_rotation_degrees"], found["camera_direction_degrees"] = row.camera_error
-    return found
+    return found | row.errors
 
 
 def to_csv(rows: Sequence[Row]) -> str:
@@ -51,12 +49,13 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 def to_text(rows: Sequence[Row]) -> str:
     """The table for standard output."""
+    known = known_headings([row.errors for row in rows])
     head = (
         f"{'precision':12}{'size':>5}{'views':>6}{'kept':>7}{'drawn':>10}{'cores':>6}"
         f"{'colours':>8}"
         f"{'structure':>11}{'appearance':>12}{'compact':>9}{'frame':>8}{'memory':>9}{'scene':>9}"
-        f"{'worst':>9}{'truth':>9}{'cameras':>15}"
-    )
+        f"{'worst':>9}"
+    ) + "".join(f"{heading:>{ERROR_WIDTH}}" for heading in known)
     lines = [head]
     for row in rows:
         point = row.point
@@ -68,12 +67,11 @@ def to_text(rows: Sequence[Row]) -> str:
             lines.append(f"{start}  failed: {row.failed}")
             continue
         s = row.seconds
-        truth = f"{statistics.median(v for v, _ in row.truth):6.1f} dB" if row.truth else ""
-        off = "{:7.2f},{:6.2f}°".format(*row.camera_error) if row.camera_error else ""
+        errors = "".join(f"{cell:>{ERROR_WIDTH}}" for cell in cells(row.errors, known))
         mark = "  rejected" if row.rejected(rows[0].point) else ""
         lines.append(
             f"{start}{s['structure']:9.3f} s{s['appearance']:10.3f} s{s['compact']:7.2f} s"
             f"{1e3 * s['frame']:5.0f} ms{row.memory / MEGABYTE:6.0f} MB"
-            f"{row.bytes / MEGABYTE:6.1f} MB{row.worst:6.1f} dB{truth:>9}{off:>15}{mark}"
+            f"{row.bytes / MEGABYTE:6.1f} MB{row.worst:6.1f} dB{errors}{mark}"
         )
     return "\n".join(lines)

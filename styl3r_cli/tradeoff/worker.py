@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.depth_errors import view_depths
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import recover
 from styl3r_cli.cameras.transforms import known_cameras
@@ -127,6 +128,9 @@ def _save(
     arrays["pictures"] = np.stack([frame(gaussians, camera, drawing, threads) for camera in seen])
     arrays["views"] = np.array(len(cameras))
     arrays["poses"] = np.stack([camera.extrinsics for camera in cameras])
+    if job["depths"]:
+        views = zip(painter.scene.means, cameras, strict=True)
+        arrays["depths"] = np.stack([view_depths(*view) for view in views]).astype(np.float32)
     truths = _truths(job, painter, cameras)
     if truths:
         arrays["held_out"] = np.stack(truths)

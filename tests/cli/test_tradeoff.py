@@ -13,11 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from tiny_model import BASELINE
 
-from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.transforms import write_transforms
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.tradeoff import bench, worker
 from styl3r_cli.tradeoff.agreement import View, differences
@@ -26,31 +22,11 @@ from styl3r_cli.tradeoff.points import GIVEN, Dials, Point
 from styl3r_cli.tradeoff.rows import CLASSES, Row, advise, corresponding
 
 Run = Callable[..., tuple[int, bytes, str]]
-UNIT = 7.0  # of the given cameras' world
 REFERENCE = Point(GIVEN, 64, 3, 100.0, "exact", 1)
 FEW = (
     *("--precisions", "w8", "--sizes", "64,48", "--views", "3,2", "--budgets", "100"),
     *("--drawings", "exact,draft", "--colours", "fitted", "--repeats", 2),
 )
-
-
-@pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """Workers run in this process instead of their own; the jobs that they got."""
-    jobs: list[dict[str, Any]] = []
-
-    def work(job: dict[str, Any]) -> dict[str, Any]:
-        jobs.append(job)
-        return json.loads(json.dumps(worker.measure(json.loads(json.dumps(job)))))
-
-    monkeypatch.setattr(bench, "work", work)
-    return jobs
-
-
-@pytest.fixture
-def measure(run: Run) -> Run:
-    """`tradeoff` with the tiny model; `--threads` are the fixture's own."""
-    return lambda *given: run("tradeoff", *given)
 
 
 def scene(count: int = 50, seed: int = 0) -> Gaussians:
@@ -220,66 +196,6 @@ def test_interrupted_runs_go_on_and_other_inputs_start_anew(
 
     assert measure(*photos[::-1], *plain, "--repeats", 1)[0] == 0
     assert len(here) == whole + 2
-
-
-def test_held_out_photos_are_the_truth(
-    measure: Run, here: list[dict[str, Any]], photos: list[Path], tmp_path: Path
-) -> None:
-    code, _, err = measure(
-        *(*photos[:2], "--holdout", photos[2], "-o", tmp_path / "r", "--precisions", "fp32"),
-        *("--sizes", "64", "--budgets", "100", "--drawings", "exact", "--repeats", 1),
-        *("--colours", "fitted"),
-    )
-    assert code == 0, err
-    report = json.loads((tmp_path / "r" / "tradeoff.json").read_text())
-    assert here[0]["photos"] == [str(path) for path in photos[:2]]
-    assert 0 < report["points"][0]["truth_psnr"] < 50
-
-
-def write_cameras(path: Path, photos: list[Path], turns: list[float], pushes: list[float]) -> None:
-    """The tiny model's cameras, each turned and moved along y, in another world and unit."""
-    world = np.eye(4)
-    world[:3, :3] = Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix()
-    world[:3, 3] = 4, -5, 6
-    cameras = []
-    for index, (turn, push) in enumerate(zip(turns, pushes, strict=True)):
-        pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_euler("y", turn, degrees=True).as_matrix()
-        pose[:3, 3] = -UNIT * (pose[:3, :3] @ [BASELINE * index, push, 0])
-        cameras.append(Camera(pose @ world, 80.0, 80.0, 48.0, 40.0, 96, 80))
-    write_transforms(path, cameras, [photo.name for photo in photos])
-
-
-def test_given_cameras_are_the_truth_in_any_world_and_unit(
-    measure: Run, here: list[dict[str, Any]], photos: list[Path], tmp_path: Path
-) -> None:
-    """The second camera is right, the third stands 45 degrees off, and is turned by 8 more."""
-    # Of the motion as the third camera sees it: its turn takes it out of the plane of the 45.
-    direction = np.degrees(np.arccos(np.cos(np.radians(8)) * np.cos(np.radians(45))))
-    cameras = tmp_path / "cameras.json"
-    plain = ("-o", tmp_path / "r", "--precisions", "fp32", "--sizes", "64", "--budgets", "100")
-    plain = (*plain, "--drawings", "exact", "--repeats", 1, "--colours", "fitted")
-    plain = (*plain, "--cameras", cameras, "--views", "3,2")
-    write_cameras(cameras, photos, [0, 0, 8], [0, 0, 2 * BASELINE])
-    code, out, err = measure(*photos, *plain)
-    assert code == 0, err
-    report = json.loads((tmp_path / "r" / "tradeoff.json").read_text())
-    for point, wrong in zip(report["points"], (0.5, 0), strict=True):  # the median of two, of one
-        assert point["camera_rotation_degrees"] == pytest.approx(8 * wrong, abs=0.5)
-        assert point["camera_direction_degrees"] == pytest.approx(direction * wrong, abs=0.5)
-    assert re.search(r"\d,.*°", out.decode())
-    assert "°" in (tmp_path / "r" / "index.html").read_text()
-
-    write_cameras(cameras, photos, [0, 0, 0], [0, 0, 0])
-    assert measure(*photos, *plain)[0] == 0
-    assert len(here) == 4  # another file is another input
-    report = json.loads((tmp_path / "r" / "tradeoff.json").read_text())
-    assert report["points"][0]["camera_direction_degrees"] < 0.5
-
-    write_cameras(cameras, photos[1:], [0, 0], [0, 0])
-    code, _, err = measure(*photos, *plain)
-    assert (code, "relative to the first photo" in err) == (3, True), err
-    assert len(here) == 4
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,12 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from striped_scene import FOCAL, SIDE, write_scene
 
+from styl3r_cli.cameras.depth_errors import relative_errors
 from styl3r_cli.cameras.pose_errors import direction_error, rotation_error
 from styl3r_cli.photos.resize import fit_photo
 from styl3r_export.cropping import crop_camera
 from styl3r_export.evaluate.__main__ import main
-from styl3r_export.evaluate.depth import fit_plane, relative_errors
+from styl3r_export.evaluate.depth import fit_plane
 from styl3r_export.evaluate.essential import match, solve
 from styl3r_export.evaluate.groups import choose_groups
 from styl3r_export.evaluate.poses import area_under_recall

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.depth_errors import DELTA, relative_errors, scale_to, view_depths
 from styl3r_export.evaluate.groups import Group
 from styl3r_export.evaluate.records import MODEL, Values
 
-# "delta < 1.25" (Eigen et al. 2014): the share of points off by less than this factor.
-DELTA = 1.25
 # Rounds of reweighting until a plane's fit stands still, and the error that is as good as none.
 FIT_ROUNDS = 30
 SMALLEST_ERROR = 1e-4
@@ -58,34 +57,15 @@ def depth_values(group: Group, means: NDArray[np.float32], cameras: Sequence[Cam
 def predicted_depths(
     group: Group, means: NDArray[np.float32], cameras: Sequence[Camera]
 ) -> list[NDArray[np.float64]]:
-    """Each view's predicted depth where the true one is known: view z of that pixel's Gaussian.
-
-    What is not finite or behind the camera counts as 0.
-    """
+    """Each view's predicted depth where the true one is known: view z of that pixel's Gaussian."""
     depths = []
     for view, points, camera in zip(group.views, means, cameras, strict=True):
         height, width = points.shape[:2]
         uv, _ = view.truth
         column = (uv[:, 0] * width / view.camera.width).astype(int)
         row = (uv[:, 1] * height / view.camera.height).astype(int)
-        at = points[row, column].astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            z = at @ camera.extrinsics[2, :3] + camera.extrinsics[2, 3]
-        depths.append(np.where(np.isfinite(z), z, 0.0).clip(0))
+        depths.append(view_depths(points[row, column], camera))
     return depths
-
-
-def scale_to(guess: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """The factor after which both have the same median."""
-    median = float(np.median(guess))
-    return float(np.median(truth)) / median if median > 0 else 0.0
-
-
-def relative_errors(guess: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[float, float]:
-    """AbsRel, and the share of points within a factor of 1.25."""
-    with np.errstate(divide="ignore"):
-        ratio = np.maximum(guess / truth, truth / guess)
-    return float(np.mean(np.abs(guess - truth) / truth)), float(np.mean(ratio < DELTA))
 
 
 def fit_plane(uv: NDArray[np.float64], depth: NDArray[np.float64]) -> NDArray[np.float64]:

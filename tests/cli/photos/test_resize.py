@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from styl3r_cli.photos.resize import fit_intrinsics, fit_photo, fit_style
+from styl3r_cli.photos.resize import fit_intrinsics, fit_map, fit_photo, fit_style
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +98,22 @@ def test_centred_principal_point_stays_centred() -> None:
         np.array([[300.0, 0, 200], [0, 300, 150], [0, 0, 1]]), (400, 300), (256, 256)
     )
     np.testing.assert_array_equal(odd_margin[:2, 2], [0.5, 0.5])
+
+
+@pytest.mark.parametrize("photo", [(96, 80), (60, 200), (33, 31), (64, 64)])
+@pytest.mark.parametrize("factor", [0.5, 1, 3])
+def test_a_map_is_cropped_as_its_photo(photo: tuple[int, int], factor: float) -> None:
+    """Where each pixel is from, as told by a photo of it and by a map in another resolution."""
+    shape = [round(side * factor) for side in photo[::-1]]
+    for axis in (0, 1):  # down, across
+        place = (np.arange(photo[1 - axis]) + 0.5) / photo[1 - axis] * 255
+        shown = (
+            np.broadcast_to(np.expand_dims(place, 1 - axis), photo[::-1]).round().astype(np.uint8)
+        )
+        image = Image.fromarray(np.repeat(shown[..., None], 3, axis=2))
+        found = (np.arange(shape[axis]) + 0.5) / shape[axis] * 255
+        values = np.broadcast_to(np.expand_dims(found, 1 - axis), shape)
+        off = fit_map(values, photo, (48, 32)) - fit_photo(image, (48, 32))[..., 0].astype(float)
+        pixel = 255 / min(photo[1 - axis], shape[axis])  # the larger one
+        assert np.abs(off[4:-4, 4:-4]).max() <= pixel / 2 + 1.5  # of rounding to 8 bits
+        assert abs(np.median(off)) <= pixel / 4 + 1

@@ -1,0 +1,59 @@
+"""Depth pictures, as scanning apps put them beside their photos."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.errors import InputError
+from styl3r_cli.files import read_file
+from styl3r_cli.photos.decode import MAX_PIXELS, failures_named, opened_picture
+
+DEEP = ("I", "F")  # Pillow's modes of one channel with more than 8 bits begin so
+ARRAY_SUFFIX = ".npy"
+NUMBERS = "iuf"  # numpy's kinds of them
+
+
+def read_depth(path: Path) -> NDArray[Any]:
+    """A depth map, in the file's own unit of length.
+
+    Args:
+        path: a picture of one channel with 16 or 32 bits (PNG, TIFF), or numpy's .npy.
+
+    Returns:
+        (H, W) of any type of numbers; what is not above 0 is not known.
+
+    Raises:
+        InputError: the file cannot be read, is damaged, too large, or no depth picture.
+    """
+    if path.suffix.lower() == ARRAY_SUFFIX:
+        return _read_array(path)
+    with opened_picture(path) as picture:
+        if not picture.mode.startswith(DEEP):
+            raise InputError(f"{path}: no depth picture: one channel of 16 or 32 bits, or .npy")
+        return np.asarray(picture)
+
+
+def _read_array(path: Path) -> NDArray[Any]:
+    with failures_named(path):
+        data = read_file(path)
+        try:
+            with warnings.catch_warnings(action="ignore"):  # of Python 2's headers
+                values = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        except MemoryError:
+            raise
+        except Exception as error:  # a damaged header can raise anything in its parsers
+            raise ValueError(error) from error
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.ndim != 2 or values.dtype.kind not in NUMBERS or not values.size:
+        what = f"{values.dtype} {values.shape}"
+        raise InputError(f"{path}: no depth picture: numbers (height, width), not {what}")
+    if values.size > MAX_PIXELS:
+        raise InputError(f"{path}: larger than {MAX_PIXELS // 10**6} megapixels")
+    return values
