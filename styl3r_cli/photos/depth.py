@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib import format as form
 from numpy.typing import NDArray
 
 from styl3r_cli.errors import InputError
@@ -44,7 +46,7 @@ def _read_array(path: Path) -> NDArray[Any]:
         data = read_file(path)
         try:
             with warnings.catch_warnings(action="ignore"):  # of Python 2's headers
-                values = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+                values = _array(io.BytesIO(data))
         except MemoryError:
             raise
         except Exception as error:  # a damaged header can raise anything in its parsers
@@ -54,6 +56,14 @@ def _read_array(path: Path) -> NDArray[Any]:
     if values.ndim != 2 or values.dtype.kind not in NUMBERS or not values.size:
         what = f"{values.dtype} {values.shape}"
         raise InputError(f"{path}: no depth picture: numbers (height, width), not {what}")
-    if values.size > MAX_PIXELS:
-        raise InputError(f"{path}: larger than {MAX_PIXELS // 10**6} megapixels")
     return values
+
+
+def _array(file: io.BytesIO) -> NDArray[Any]:
+    """What a .npy file holds; memory is set aside only for as much as the file can hold."""
+    of_version = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
+    shape, _, _ = of_version[form.read_magic(file)](file)
+    if math.prod(shape) > MAX_PIXELS:
+        raise ValueError(f"larger than {MAX_PIXELS // 10**6} megapixels")
+    file.seek(0)
+    return form.read_array(file, allow_pickle=False)
