@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
 import sys
 import warnings
 from collections.abc import Sequence
@@ -14,8 +13,8 @@ from typing import NoReturn
 
 import click
 
-from styl3r_cli import __version__, console, memory
-from styl3r_cli.errors import BROKEN_PIPE, HANGUP, MEANINGS, TERMINATED, ExitCode, Styl3rError
+from styl3r_cli import __version__, console, endings, memory
+from styl3r_cli.errors import BROKEN_PIPE, MEANINGS, ExitCode, Styl3rError
 from styl3r_cli.files import ClosedOutput
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
@@ -128,13 +127,17 @@ def group() -> None:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit (the console script's entry point)."""
     _fill_standard_streams()
-    signal.signal(signal.SIGTERM, _terminate)
-    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
-    if hangup and signal.getsignal(hangup) is signal.SIG_DFL:  # under nohup it is ignored
-        signal.signal(hangup, _terminate)
+    endings.unwind_on_signals()
     if not sys.warnoptions:  # libraries' remarks on odd files are not for users; python -W shows
         warnings.simplefilter("ignore")
-    sys.exit(run(arguments))
+    try:
+        code = run(arguments)
+    except SystemExit as asked:  # by a signal
+        code = asked.code if isinstance(asked.code, int) else ExitCode.INTERNAL
+    if code != ExitCode.SUCCESS:
+        endings.leave(code)
+    endings.finish()
+    sys.exit(code)
 
 
 def _fill_standard_streams() -> None:
@@ -209,8 +212,3 @@ def _asks_for_json(arguments: Sequence[str]) -> bool:
 def _fail(message: str, code: ExitCode) -> int:
     console.error(message, code)
     return code
-
-
-def _terminate(number: int, _frame: object) -> NoReturn:
-    """Unwind instead of dying, so that temporary files are removed."""
-    sys.exit(TERMINATED if number == signal.SIGTERM else HANGUP)
