@@ -86,8 +86,21 @@ class Overlaps:
         self.own = np.ones(scene.means.shape[:3], np.float32)
         for each in self.overlaps:
             self.own[each.view] *= 1 - each.share
-        around = [cv2.blur(own, (BAND, BAND)) for own in self.own]
-        self.kept = np.stack(around) > OWN_SHARE
+        self.kept = np.ones(self.own.shape, np.bool_)
+        for view in self.order:
+            around = cv2.blur(self.own[view], (BAND, BAND))
+            self.kept[view] = (around > OWN_SHARE) | ~self._stands(view)
+
+    def _stands(self, view: int) -> NDArray[np.bool_]:
+        """(H, W), whether a repeat's other Gaussian is kept here: it may be a repeat itself."""
+        import cv2
+
+        stands = np.zeros(self.own.shape[1:], np.uint8)
+        for each in self.overlaps:
+            if each.view == view:
+                there = _sample(self.kept[each.painter].astype(np.float32), each.x, each.y)
+                stands |= ((each.share > 0) & (there > 0)).astype(np.uint8)
+        return np.asarray(cv2.dilate(stands, np.ones((BAND, BAND), np.uint8))) > 0
 
     def _compare(self, scene: Scene, cameras: list[Camera]) -> Iterator[Overlap]:
         depths = {
@@ -182,10 +195,9 @@ def _share(
         x, y = (np.where(nowhere, -1, each).astype(np.float32) for each in (u, v))
         gap = np.maximum(depth - _sample(near, x, y), _sample(far, x, y) - depth) / depth
         border = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y)) + 0.5
-        spans = np.abs(
-            np.gradient(x, axis=1) * np.gradient(y, axis=0)
-            - np.gradient(x, axis=0) * np.gradient(y, axis=1)
-        )
+        # Below 0 where the other picture is a mirror's: it shows the surface from behind.
+        spans = np.gradient(x, axis=1) * np.gradient(y, axis=0)
+        spans -= np.gradient(x, axis=0) * np.gradient(y, axis=1)
         share = (
             _ramp(gap, ANOTHER, SAME)
             * _ramp(border, BORDER, INSIDE)
