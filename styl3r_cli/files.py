@@ -19,8 +19,9 @@ from styl3r_cli.pipes import first_bytes, opened_at_once, reader_of
 
 TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
 STDOUT_CLOSED = "cannot write standard output: it is closed"
-WRITER = "writer"  # threads of this name may be writing files: a command's end waits for them
 TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
+
+_unfinished: set[Path] = set()  # temporary files of this process
 
 
 class ClosedOutput(io.TextIOBase):
@@ -73,15 +74,22 @@ def atomic_write(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(_cannot_write(path, error)) from error
     try:
+        _unfinished.add(temporary)
         _create(temporary, target)  # in here, as Ctrl-C may come as soon as it is there
         yield temporary
         _publish(temporary, target)
+        _unfinished.discard(temporary)
     except BaseException as error:
-        with suppress(OSError):
-            temporary.unlink()
+        _remove(temporary)
         if isinstance(error, OSError):
             raise OutputError(_cannot_write(path, error)) from error
         raise
+
+
+def remove_unfinished() -> None:
+    """Remove what `atomic_write` has not published, in whichever thread: the process ends."""
+    for temporary in tuple(_unfinished):
+        _remove(temporary)
 
 
 def write_stdout(data: bytes) -> None:
@@ -197,6 +205,12 @@ def _publish(temporary: Path, target: Path) -> None:
     with temporary.open("rb+") as file:
         os.fsync(file.fileno())  # renaming first could leave an empty file after a power cut
     temporary.replace(target)
+
+
+def _remove(temporary: Path) -> None:
+    with suppress(OSError):
+        temporary.unlink()
+    _unfinished.discard(temporary)
 
 
 def _cannot_write(what: Path | str, error: OSError) -> str:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
 import sys
-import threading
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
@@ -15,9 +13,9 @@ from typing import NoReturn
 
 import click
 
-from styl3r_cli import __version__, console, memory
-from styl3r_cli.errors import BROKEN_PIPE, HANGUP, MEANINGS, TERMINATED, ExitCode, Styl3rError
-from styl3r_cli.files import WRITER, ClosedOutput
+from styl3r_cli import __version__, console, endings, memory
+from styl3r_cli.errors import BROKEN_PIPE, MEANINGS, ExitCode, Styl3rError
+from styl3r_cli.files import ClosedOutput
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
 # so that the list of commands needs none of their libraries.
@@ -129,30 +127,25 @@ def group() -> None:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit (the console script's entry point)."""
     _fill_standard_streams()
-    signal.signal(signal.SIGTERM, _terminate)
-    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
-    if hangup and signal.getsignal(hangup) is signal.SIG_DFL:  # under nohup it is ignored
-        signal.signal(hangup, _terminate)
+    endings.unwind_on_signals()
     if not sys.warnoptions:  # libraries' remarks on odd files are not for users; python -W shows
         warnings.simplefilter("ignore")
-    _leave(run(arguments))
+    try:
+        code = run(arguments)
+    except SystemExit as asked:  # by a signal
+        code = asked.code if isinstance(asked.code, int) else ExitCode.INTERNAL
+    if code == ExitCode.SUCCESS:
+        endings.finish()
+        _flush(code)
+    endings.leave(code)
 
 
-def _leave(code: int) -> NoReturn:
-    """Exit, and leave it to the system to take back networks, scenes and compiled code.
-
-    Python would take them apart one by one, for 0.15 s. Threads that may be writing a file are
-    waited for.
-    """
+def _flush(code: int) -> None:
+    """Have results reach standard output; where that fails, Python's own end tells."""
     try:
         sys.stdout.flush()
-        sys.stderr.flush()
     except (OSError, ValueError, AttributeError):
-        sys.exit(code)  # which tells of it, or has to do without the stream
-    for thread in threading.enumerate():
-        if thread.name == WRITER:
-            thread.join()
-    os._exit(code)
+        sys.exit(code)
 
 
 def _fill_standard_streams() -> None:
@@ -227,8 +220,3 @@ def _asks_for_json(arguments: Sequence[str]) -> bool:
 def _fail(message: str, code: ExitCode) -> int:
     console.error(message, code)
     return code
-
-
-def _terminate(number: int, _frame: object) -> NoReturn:
-    """Unwind instead of dying, so that temporary files are removed."""
-    sys.exit(TERMINATED if number == signal.SIGTERM else HANGUP)

@@ -95,10 +95,9 @@ class Meeting:
     def share(self) -> FloatArray:
         """How much of each pixel's surface is what the other view shows: `Overlap.share`."""
         with np.errstate(all="ignore"):
-            spans = np.abs(
-                np.gradient(self.x, axis=1) * np.gradient(self.y, axis=0)
-                - np.gradient(self.x, axis=0) * np.gradient(self.y, axis=1)
-            )
+            # Below 0 where the other picture is a mirror's: it shows the surface from behind.
+            spans = np.gradient(self.x, axis=1) * np.gradient(self.y, axis=0)
+            spans -= np.gradient(self.x, axis=0) * np.gradient(self.y, axis=1)
             share = (
                 _ramp(self.apart, ANOTHER, SAME)
                 * _ramp(self.border, BORDER, INSIDE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray
@@ -88,8 +89,21 @@ class Overlaps:
                     share = meeting.share()
                     self.overlaps.append(Overlap(view, other, share, meeting.x, meeting.y))
                     self.own[view] *= 1 - share
-        around = [cv2.blur(own, (BAND, BAND)) for own in self.own]
-        self.kept = (np.stack(around) > OWN_SHARE) & (doubts <= ALLOWED_DOUBTS)
+        self.kept = doubts <= ALLOWED_DOUBTS
+        for view in self.order:
+            around = cv2.blur(self.own[view], (BAND, BAND))
+            self.kept[view] &= (around > OWN_SHARE) | ~self._stood_for(view)
+
+    def _stood_for(self, view: int) -> NDArray[np.bool_]:
+        """(H, W), whether what a view repeats is kept there: it may be left out itself."""
+        import cv2
+
+        stands = np.zeros(self.own.shape[1:], np.uint8)
+        for each in self.overlaps:
+            if each.view == view:
+                there = sample(self.kept[each.painter].astype(np.float32), each.x, each.y)
+                stands |= ((each.share > 0) & (there > 0)).astype(np.uint8)
+        return np.asarray(cv2.dilate(stands, np.ones((BAND, BAND), np.uint8))) > 0
 
     def paint_once(self, pictures: FloatArray, strength: float = 1.0) -> FloatArray:
         """The views' pictures with each surface as the first view in order painted it.

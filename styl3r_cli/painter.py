@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.recover import Recovered
-from styl3r_cli.files import WRITER
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
 
@@ -192,7 +191,7 @@ def warm_up(compact: bool = False) -> None:
                 compactor = Compactor(dots, [camera], 1, reshapes=RESHAPES)
                 compactor.keep_count(dots.colours, 2)
 
-    threading.Thread(target=load, name=WRITER).start()  # of numba's cache
+    threading.Thread(target=load, name="warm up").start()
 
 
 def _look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:

@@ -145,8 +145,10 @@ def _list(part_begin, part_end, parts, status, rects, records, depths, columns, 
                     bottom = (row + 1) * tile - 1 if row < last_row else rects[i, 3]
                     x0, x1 = _reached_columns(i, records, top, bottom)
                     left, right = float(rects[i, 0]), float(rects[i, 2])
-                    low = math.ceil(x0 if x0 > left else left) // tile
-                    high = math.floor(x1 if x1 < right else right) // tile
+                    # A needle's outline may be farther away than integers reach.
+                    x0 = clamp(x0 if x0 > left else left, left, right + 1)
+                    x1 = clamp(x1 if x1 < right else right, left - 1, right)
+                    low, high = math.ceil(x0) // tile, math.floor(x1) // tile
                 for t in range((row - row_begin) * columns + low,
                                (row - row_begin) * columns + high + 1):  # fmt: skip
                     if fill:

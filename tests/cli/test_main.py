@@ -187,6 +187,74 @@ def test_signals_end_a_run_quietly(tmp_path: Path, number: int, code: int) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
 
 
+UNWINDING = """
+import os, signal, sys, time
+from pathlib import Path
+from styl3r_cli import endings, files
+endings.unwind_on_signals()
+"""
+
+
+def ended(code: str, folder: Path, *arguments: str) -> tuple[int, bytes]:
+    """Exit code and output of a program, which ends by itself within half a minute."""
+    command = [sys.executable, *(arguments or ["-c", code])]
+    done = subprocess.run(command, cwd=folder, capture_output=True, timeout=30, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_a_second_signal_interrupts_no_cleaning(tmp_path: Path) -> None:
+    code = f"""{UNWINDING}
+unlink = Path.unlink
+def interrupted(path):
+    os.kill(os.getpid(), signal.SIGTERM)
+    unlink(path)
+Path.unlink = interrupted
+try:
+    with files.atomic_write(Path("scene.ply")):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(10)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+    assert ended(code, tmp_path) == (130, b"")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_a_signal_where_python_drops_exceptions_counts(tmp_path: Path) -> None:
+    code = f"""{UNWINDING}
+class Freed:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(10)
+with files.atomic_write(Path("scene.ply")):
+    Freed()
+    time.sleep(60)
+"""
+    assert ended(code, tmp_path) == (130, b"")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_ctrl_c_while_the_program_is_loaded_is_quiet(tmp_path: Path) -> None:
+    kill = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(10)"
+    (tmp_path / "click.py").write_text(kill)  # `python -m` looks here first
+    assert ended("", tmp_path, "-m", "styl3r_cli") == (-signal.SIGINT, b"")
+
+
+def test_a_failed_run_waits_for_no_thread(tmp_path: Path) -> None:
+    code = """
+import threading, time
+from styl3r_cli import main
+threading.Thread(target=time.sleep, args=(60,)).start()
+main.main(["info", "missing.ply"])
+"""
+    status, out = ended(code, tmp_path)
+    assert status == 3
+    assert out.startswith(b"styl3r: error: missing.ply")
+
+
 def test_notes_are_told_once_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
     for quiet in (False, True):
         told = console.Console(quiet)

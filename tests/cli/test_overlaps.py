@@ -226,3 +226,31 @@ def test_what_another_view_sees_as_well_stays_though_two_look_through_it() -> No
     inner = patch[1] & (np.abs(scene.means[1, ..., 0] - 0.5) < 0.2)
     assert inner.sum() > 20
     assert kept[1][inner].all()
+
+
+def test_the_other_side_of_a_thin_wall_is_another_surface() -> None:
+    """0.2 thick, seen from in front of it and from behind it, 4 away: as near as repeats are."""
+    scene, recovered = views(2)
+    behind = np.diag([-1.0, 1.0, -1.0, 1.0])
+    behind[:3, 3] = 0, 0, 2 * WALL + 0.2
+    scene.means[1] = scene.means[0] * np.float32([-1, 1, 1]) + np.float32([0, 0, 0.2])
+    cameras = [recovered.cameras[0], replace(recovered.cameras[1], extrinsics=behind)]
+    overlaps = Overlaps(scene, replace(recovered, cameras=cameras))
+    assert overlaps.kept.all()
+    np.testing.assert_array_equal(overlaps.paint_once(flat(2)), flat(2))
+
+
+def test_what_repeats_a_repeat_is_compared_with_what_is_kept() -> None:
+    """Each view's wall is 6.5 % farther than the one before: the third's is not the first's."""
+    scene, recovered = views(3)
+    cameras = [replace(each, extrinsics=np.eye(4)) for each in recovered.cameras]
+    first, second, third = outwards(3, [0, 1, 2])
+    for view, farther in ((first, 1), (second, 1.065), (third, 1.065**2)):
+        centres = (np.arange(SIDE) + 0.5 - SIDE / 2) / FOCAL * WALL * farther
+        x, y = np.meshgrid(centres, centres)
+        scene.means[view] = np.stack((x, y, np.full_like(x, WALL * farther)), -1)
+    overlaps = Overlaps(scene, replace(recovered, cameras=cameras))
+    inner = slice(11, -11)
+    assert overlaps.kept[first].all()
+    assert not overlaps.kept[second, inner, inner].any()
+    assert overlaps.kept[third, inner, inner].all()

@@ -14,7 +14,6 @@ import pytest
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.compaction import search
-from styl3r_cli.files import WRITER
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.painter import Painter, warm_up
 from styl3r_cli.picture_metrics import psnr
@@ -134,7 +133,7 @@ def test_warming_up_loads_what_stylizing_uses_and_no_more(monkeypatch: pytest.Mo
         monkeypatch.setattr(search, name, noted(name, getattr(search, name)))
     warm_up(compact=True)
     for thread in threading.enumerate():
-        if thread.name == WRITER:
+        if thread.name == "warm up":
             thread.join()
     assert set(used) == {"attempt"}
 

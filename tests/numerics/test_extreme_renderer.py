@@ -102,6 +102,18 @@ def test_needles_sheets_and_singular_covariances(shape: tuple[float, ...]) -> No
         assert_exact(replace(scene, scales=np.tile(np.float32(shape), (10, 1))), make_camera())
 
 
+def test_needles_that_end_farther_away_than_integers_reach() -> None:
+    """Tilted by 2e-19, one crosses the rows above it 1e20 pixels beside the frame."""
+    scene = Gaussians(
+        np.float32([[0, 0, 3], [0.1, 0.05, 3.5]]),
+        np.full((2, 3), [1e21, 0.05, 0.05], np.float32),
+        np.float32([[1, 0, 0, 1e-19], [1, 0, 0, -1e-19]]),
+        np.float32([0.6, 0.7]),
+        np.float32([[1, 0, 0], [0, 1, 0]]),
+    )
+    assert_exact(scene, make_camera(48, 64, extrinsics=np.eye(4)), near=0.1)
+
+
 @pytest.mark.parametrize("size", [1e-30, 1e-8, 1e3, 1e8, 1e30])
 def test_dust_and_giants(size: float) -> None:
     assert_exact(make_scene(5, size=size), make_camera())
