@@ -60,8 +60,9 @@ class DepthScale:
         """
         import cv2
 
-        nearness = np.divide(1, depth, out=np.zeros_like(depth), where=solid & (depth > 0))
-        span = max(self.high - self.low, 1e-12)
+        far = np.zeros(depth.shape)  # float64: in a tiny unit of length 1 / depth is large
+        nearness = np.divide(1, depth, out=far, where=solid & (depth > 0), dtype=np.float64)
+        span = (self.high - self.low) or self.high or 1.0  # of one depth, all is far
         levels = np.rint(np.clip((nearness - self.low) / span, 0, 1) * 255).astype(np.uint8)
         if colour_map == "grey":
             picture = np.repeat(levels[..., None], 3, axis=2)

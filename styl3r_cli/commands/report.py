@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -51,7 +50,7 @@ def scene_report(
         "styles": [{"path": str(style.path), "weight": style.weight} for style in request.styles],
         "strength": request.strength,
         "gaussians": len(gaussians),
-        "outputs": {name: _text(path) for name, path in outputs.items() if path is not None},
+        "outputs": {name: str(path) for name, path in outputs.items() if path is not None},
         "repairs": repairs.to_dict(),
         "warnings": list(notes),
         "timings": rounded(timings),
@@ -89,7 +88,7 @@ def rounded(timings: dict[str, float]) -> dict[str, float]:
 
 def print_report(report: dict[str, Any]) -> None:
     """One JSON object, then a line end."""
-    click.echo(json.dumps(report, indent=2, allow_nan=False))
+    click.echo(json.dumps(_valid(report), indent=2, allow_nan=False))
 
 
 def _views(inputs: Inputs, recovered: Recovered) -> list[dict[str, Any]]:
@@ -99,7 +98,7 @@ def _views(inputs: Inputs, recovered: Recovered) -> list[dict[str, Any]]:
         camera = uncropped(recovered.cameras[index], width, height)
         views.append(
             {
-                "path": _text(path),
+                "path": str(path),
                 "width": width,
                 "height": height,
                 "focal_source": photos.focal_sources[index],
@@ -117,6 +116,10 @@ def _views(inputs: Inputs, recovered: Recovered) -> list[dict[str, Any]]:
     return views
 
 
-def _text(path: Path) -> str:
-    """A path as text, also where its name is not valid Unicode."""
-    return str(path).encode("utf-8", "replace").decode()
+def _valid(value: Any) -> Any:
+    """The same with "?" for a name's bytes that are no Unicode: strict readers refuse them."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "replace").decode()
+    if isinstance(value, dict):
+        return {key: _valid(each) for key, each in value.items()}
+    return [_valid(each) for each in value] if isinstance(value, list) else value

@@ -46,6 +46,5 @@ def broken_promise(made: Compaction, suffix: str, decibels: float) -> list[str]:
     """A note, if the format's rounding costs more than was promised."""
     if not made.decibels or made.worst >= decibels:
         return []
-    return [
-        f"{made.worst:.1f} dB instead of {decibels:g}: {suffix} rounds; a .ply or .glb keeps more"
-    ]
+    better = " or ".join(each for each in EXACT if each != suffix)
+    return [f"{made.worst:.1f} dB instead of {decibels:g}: {suffix} rounds; a {better} keeps more"]

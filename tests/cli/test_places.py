@@ -264,3 +264,15 @@ def test_decibels_are_of_what_the_file_holds(here: Path, capsys) -> None:
     assert told["ply"] > 45
     assert told["spz"] < 30
     assert told["points.glb"] is None
+
+
+def test_what_keeps_more_is_another_format(here: Path, capsys) -> None:
+    """A .ply has no place for a unit of 1e-13, and is no advice then."""
+    scene = read_scene(Path("s.ply")).gaussians
+    small = replace(
+        scene, means=scene.means * np.float32(1e-13), scales=scene.scales * np.float32(1e-13)
+    )
+    write_scene(Path("small.glb"), small)
+    assert main.run(["compact", "small.glb", "-o", "o.ply", "--all"]) == 0
+    assert main.run(["compact", "small.glb", "-o", "o.ply"]) == 0
+    assert "dB instead of 45: .ply rounds; a .glb keeps more" in capsys.readouterr().err

@@ -98,6 +98,15 @@ def test_depth_colours_have_one_scale_red_near_blue_far() -> None:
     assert (second[0] == EMPTY).all()
 
 
+@pytest.mark.parametrize("unit", [2.0**100, 2.0**45, 2.0**-100, 2.0**-130])
+def test_depth_colours_are_the_same_in_any_unit(unit: float) -> None:
+    depth = np.linspace(1, 4, 64, dtype=np.float32).reshape(8, 8)
+    solid = np.ones((8, 8), bool)
+    (expected,) = colour_depths([depth], [solid])
+    (picture,) = colour_depths([depth * np.float32(unit)], [solid])
+    assert np.abs(picture.astype(int) - expected).max() <= 2  # float32 gets coarse from 2^-126 on
+
+
 @pytest.mark.parametrize("value", [0.0, 3.0])
 def test_depth_without_any_variation_or_surface_is_still_a_picture(value: float) -> None:
     depth = np.full((4, 4), value, np.float32)
