@@ -129,7 +129,7 @@ class Stylizer:
         """
         if not 0.0 <= strength <= 1.0:
             raise UsageError(f"strength {strength:g}: 0 (own colours) to 1 (the style's)")
-        shares = _shares(len(styles), weights)
+        shares = style_shares(len(styles), weights)
         pictures = [
             (_in_range(style, self.model.style_range), strength * share)
             for style, share in zip(styles, shares, strict=True)
@@ -214,8 +214,12 @@ def assemble(
     return gaussians, repairs
 
 
-def _shares(count: int, weights: Sequence[float] | None) -> list[float]:
-    """The weights as shares of 1."""
+def style_shares(count: int, weights: Sequence[float] | None) -> list[float]:
+    """The weights as shares of 1.
+
+    Raises:
+        UsageError: there are not as many, one is no weight, or all are 0.
+    """
     given = [1.0] * count if weights is None else [float(weight) for weight in weights]
     if len(given) != count:
         raise UsageError(f"{count} styles but {len(given)} weights")

@@ -19,9 +19,10 @@ from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.names import real_path, user_path
 from styl3r_cli.painter import warm_up
 from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
+from styl3r_cli.photos.focal import focal_from_fov
 from styl3r_cli.photos.listing import parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE
-from styl3r_cli.pipeline import Stylizer
+from styl3r_cli.pipeline import Stylizer, style_shares
 from styl3r_cli.quality import BEST, COMPACTED, FITTED, KEPT_DECIBELS, network_size
 
 
@@ -180,6 +181,9 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
     """Refuse what could not end well, before any work."""
     if request.keep_all and request.keep_db is not None:
         raise UsageError("--keep-db and --all exclude each other; give one")
+    style_shares(len(request.styles), [style.weight for style in request.styles])
+    if request.fov is not None:
+        focal_from_fov(request.fov, 1)
     scene = request.scene_path
     if scene is not None:
         scene_suffix(scene)

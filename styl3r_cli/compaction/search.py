@@ -32,6 +32,9 @@ RESHAPES, RESHAPED = 2, 4.0
 WASTE = 2.0  # decibels too many are worth one more attempt
 FINE = 0.97  # a share of what is known to do that is no longer worth an attempt
 MOST_ATTEMPTS = 8
+# What is brighter, or darker than minus that, is merged as if it were that: no display shows the
+# difference, and squares of it, summed over pixels, are within float32.
+BRIGHTEST = 1e4
 
 
 class Compactor:
@@ -63,6 +66,7 @@ class Compactor:
             reshapes: how often shapes are fitted; half the time and a third more Gaussians at 0.
         """
         self.threads, self.reshapes = threads, reshapes
+        scene = scene.with_colours(within_float32(scene.colours))
         self.known = survey(scene, cameras, threads, traced)
         self._begun: tuple[int, Merged] | None = None
 
@@ -75,7 +79,7 @@ class Compactor:
             colours: (G, 3) sRGB.
             target: PSNR against the whole scene, at the witness that differs most.
         """
-        known = self.known
+        known, colours = self.known, within_float32(colours)
         whole = known.scene.with_colours(colours)
         if known.tree is None:  # no witness sees any of it
             return everything(whole, known.cameras)
@@ -117,6 +121,7 @@ class Compactor:
             colours: (G, 3) sRGB.
             count: at least 1.
         """
+        colours = within_float32(colours)
         if count >= len(self.known.seen):
             return self.without_unseen(colours)
         targets, shown = self.known.targets(colours), self._shown(colours)
@@ -180,6 +185,13 @@ class Compactor:
         labels = np.full(len(self.known.scene), DROPPED, np.int64)
         labels[self.known.seen] = made.cut.labels
         return Compaction(made.gaussians, labels, self.known.cameras, made.decibels)
+
+
+def within_float32(colours: FloatArray) -> FloatArray:
+    """The colours, or if any is beyond BRIGHTEST, all within it."""
+    if np.abs(colours).max(initial=0) <= BRIGHTEST:
+        return colours
+    return np.clip(colours, -BRIGHTEST, BRIGHTEST)
 
 
 def keep_count(

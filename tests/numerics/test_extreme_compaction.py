@@ -106,3 +106,21 @@ def test_any_size_of_gaussians(scale: float) -> None:
     made = keep_count(scene, make_cameras(), 1, threads=1)
     assert_sound(made, 1)
     assert made.worst > 40
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("brightness", [1e5, 1e30, 3e38])
+def test_any_brightness(brightness: float) -> None:
+    """Half of the colours are far brighter, half far darker than any display can show."""
+    scene = make_scene()
+    signs = np.where(np.arange(400) % 2, 1, -1)[:, None]
+    made = keep_count(
+        scene.with_colours((signs * brightness * scene.colours).astype(np.float32)),
+        make_cameras(),
+        100,
+        threads=1,
+    )
+    assert len(made.gaussians) == 100
+    assert all(np.isfinite(made.decibels))
+    for name in ("means", "scales", "rotations", "opacities", "colours"):
+        assert np.isfinite(getattr(made.gaussians, name)).all()
