@@ -10,6 +10,7 @@ import json
 import math
 import statistics
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ from styl3r_cli.tradeoff.truth import Truth
 EXAMPLE = Path("examples/room")
 STYLES = ("night", "ink", "wave")
 SIDE = 256  # of the pictures that the bundled model was trained on
+# Of the frames that are drawn: of `stylize` as large as the photos', of `render` as by default.
+FRAME_SIDES = {"stylize": SIDE, "render": 512}
 MARGIN = 1.0  # decibels less than measured are promised: other processors round differently
 
 
@@ -62,29 +65,29 @@ def photos() -> list[Path]:
 
 def measure(repeats: int) -> dict[str, Any]:
     """What each quality takes and keeps: medians over styles, the worst view of all styles."""
-    wanted = points()
-    every = list(dict.fromkeys([reference(), *_all(wanted)]))
-    by_style: list[dict[Point, Row]] = []
-    for style in STYLES:
-        with tempfile.TemporaryDirectory() as folder:
-            bench = Bench(
-                Path(folder),
-                photos(),
-                [Path("examples/styles") / f"{style}.jpg"],
-                None,
-                (SIDE, SIDE),
-                {GIVEN: str(find("mini"))},
-            )
-            bench.run(every, repeats)
-            by_style.append({row.point: row for row in collect(bench, every, Truth())})
-    return {
-        command: {quality: _promise(command, point, by_style) for quality, point in each.items()}
-        for command, each in wanted.items()
-    }
+    found = {}
+    for command, wanted in points().items():
+        every = list(dict.fromkeys([reference(), *wanted.values()]))
+        by_style = [_measured(style, every, FRAME_SIDES[command], repeats) for style in STYLES]
+        found[command] = {
+            quality: _promise(command, point, by_style) for quality, point in wanted.items()
+        }
+    return found
 
 
-def _all(wanted: dict[str, dict[str, Point]]) -> list[Point]:
-    return [point for each in wanted.values() for point in each.values()]
+def _measured(style: str, every: Sequence[Point], side: int, repeats: int) -> dict[Point, Row]:
+    """Every point's row with frames of side x side pixels."""
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(
+            Path(folder),
+            photos(),
+            [Path("examples/styles") / f"{style}.jpg"],
+            None,
+            (side, side),
+            {GIVEN: str(find("mini"))},
+        )
+        bench.run(every, repeats)
+        return {row.point: row for row in collect(bench, every, Truth())}
 
 
 def _promise(command: str, point: Point, rows: list[dict[Point, Row]]) -> dict[str, Any]:

@@ -31,10 +31,10 @@ from styl3r_cli.quality import (
     network_size,
 )
 from styl3r_cli.tradeoff.agreement import compare_pictures, watch, worst
+from styl3r_cli.tradeoff.presets import FRAME_SIDES, SIDE
 
 Run = Callable[..., tuple[int, bytes, str]]
 ROOT = Path(__file__).parents[2]
-SIDE = 256
 needs_points = pytest.mark.skipif(
     not measured(), reason="no measured points; python -m styl3r_cli.tradeoff.presets makes them"
 )
@@ -132,7 +132,7 @@ def test_render_keeps_its_promise_on_the_example(quality: str, tmp_path: Path) -
     scene = tmp_path / "scene.ply"
     room, style = ROOT / "examples" / "room", ROOT / "examples" / "styles" / "night.jpg"
     assert main.run(["stylize", str(room), "-s", str(style), "-o", str(scene), "-q"]) == 0
-    command = ["render", str(scene), "--frames", "3", "--size", str(SIDE), "-q"]
+    command = ["render", str(scene), "--frames", "3", "--size", str(FRAME_SIDES["render"]), "-q"]
     pictures = []
     for name in (quality, "best"):
         pattern = tmp_path / name / "%d.png"
