@@ -114,7 +114,7 @@ def _assumption_notes(
         return []
     how = "assumed" if "assumed" in sources else "taken from the other photos"
     return [
-        f"no focal length in {name_some(without)}: {substitute:.3g} mm equivalent {how} "
+        f"no focal length in {name_some(without)}: {_rounded(substitute)} mm equivalent {how} "
         "(--fov or --cameras sets it)"
     ]
 
@@ -132,6 +132,11 @@ def _zoom_notes(
     if focals[longest] <= ZOOMED * focals[shortest]:
         return []
     return [
-        f"focal lengths differ: {focals[shortest]:.3g} mm equivalent in {names[shortest]}, "
-        f"{focals[longest]:.3g} mm in {names[longest]}"
+        f"focal lengths differ: {_rounded(focals[shortest])} mm equivalent in {names[shortest]}, "
+        f"{_rounded(focals[longest])} mm in {names[longest]}"
     ]
+
+
+def _rounded(value: float) -> str:
+    """Three digits, without an exponent."""
+    return f"{float(f'{value:.3g}'):g}"
