@@ -30,7 +30,7 @@ from PIL import (  # the plugins register their formats on import
 )
 
 from styl3r_cli import memory
-from styl3r_cli.errors import InputError
+from styl3r_cli.errors import InputError, shortened
 from styl3r_cli.files import read_file
 from styl3r_cli.photos.focal import read_equivalent_focal
 
@@ -141,7 +141,7 @@ def failures_named(path: Path) -> Iterator[None]:
     except DECODER_FAILURES as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-        message = " ".join(str(error).split())
+        message = shortened(" ".join(str(error).split()))
         raise InputError(f"{path}: damaged or unsupported picture: {message}") from error
 
 

@@ -103,6 +103,18 @@ def pictures() -> None:
     put("exif", "focal", exif.tobytes().removeprefix(b"Exif\0\0"))
 
 
+def depths() -> None:
+    """Depth pictures of 16 and 32 bits, and an array."""
+    millimetres = np.arange(12, dtype=np.uint16).reshape(3, 4) * 1000
+    for name, values in (("deep.png", millimetres), ("metres.tiff", millimetres / np.float32(1e3))):
+        buffer = io.BytesIO()
+        Image.fromarray(values).save(buffer, Path(name).suffix[1:])
+        put("depth", name, buffer.getvalue())
+    buffer = io.BytesIO()
+    np.save(buffer, millimetres)
+    put("depth-array", "depth.npy", buffer.getvalue())
+
+
 def others() -> None:
     """Cameras, lists, a model and a checkpoint."""
     put("camera-path", "path.json", b"")
@@ -128,4 +140,5 @@ def others() -> None:
 if __name__ == "__main__":
     scenes()
     pictures()
+    depths()
     others()

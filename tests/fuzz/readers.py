@@ -25,6 +25,7 @@ from styl3r_cli.errors import InputError, ModelError
 from styl3r_cli.formats import read_scene
 from styl3r_cli.formats.values import ATTRIBUTES
 from styl3r_cli.photos import decode as decoding
+from styl3r_cli.photos.depth import read_depth
 from styl3r_cli.photos.focal import LONGEST_FOCAL, SHORTEST_FOCAL, read_equivalent_focal
 from styl3r_cli.photos.listing import parse_list
 
@@ -171,6 +172,8 @@ def pickled(data: bytes) -> None:
 
 READERS = {
     "photo": Reader(in_file("photo", decoding.decode)),
+    "depth": Reader(in_file("depth.png", read_depth)),
+    "depth-array": Reader(in_file("depth.npy", read_depth)),
     "exif": Reader(exif),
     "ply": scene(".ply"),
     "compressed-ply": Reader(scene(".compressed.ply").read, corpus="compressed.ply"),

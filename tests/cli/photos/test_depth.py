@@ -83,6 +83,15 @@ def test_other_arrays_are_refused(
     assert not (tmp_path / "harm").exists()
 
 
+def test_a_damaged_header_is_not_recited(tmp_path: Path) -> None:
+    """Found by fuzzing: numpy quotes the header with whatever is in it."""
+    path = tmp_path / "depth.npy"
+    path.write_bytes(npy(MILLIMETRES).replace(b" " * 40, b"\x8b" * 40))
+    with pytest.raises(InputError) as failure:
+        read_depth(path)
+    assert str(failure.value).count("x8b") < 40
+
+
 @pytest.mark.parametrize("mode", ["L", "RGB", "LA", "P", "1"])
 def test_pictures_for_the_eye_are_refused(tmp_path: Path, mode: str) -> None:
     path = tmp_path / "depth.png"
