@@ -155,8 +155,9 @@ class Flow(nn.Module):
         source: Float[Tensor, "batch c h w"],
         target: Float[Tensor, "batch c h w"],
         context: Float[Tensor, "batch 160 h w"],
+        guess: Float[Tensor, "batch 2 h w"] | None = None,
     ) -> Flows:
-        """Where the source's cells are in the target."""
+        """Where the source's cells are in the target, sought from a guess on, else from 0."""
         pyramid = correlate(source.float(), target.float())
         state = context[:, :HIDDEN].tanh()
         gates = self.update_block.gru.gates(F.relu(context[:, HIDDEN:]))
@@ -170,8 +171,9 @@ class Flow(nn.Module):
                 rounds.append(flow)
             return state, flow
 
-        start = (state, torch.zeros_like(source[:, :2], dtype=torch.float32))
-        state, flow = repeat(step, start, range(self.count))
+        if guess is None:
+            guess = torch.zeros_like(source[:, :2], dtype=torch.float32)
+        state, flow = repeat(step, (state, guess), range(self.count))
         spread = self.spread_head(state.detach())[:, 0].float()
         spread = spread.clamp(SPREAD_MIN, SPREAD_MAX)
         return Flows((*rounds[:-1], flow), spread)

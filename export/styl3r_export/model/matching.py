@@ -15,6 +15,7 @@ from styl3r_export.model.config import ModelConfig
 from styl3r_export.model.flow import Flow, Flows
 from styl3r_export.model.rotations import Motion, full_precision, rotation_matrix
 from styl3r_export.model.subpixel import settle, traceable
+from styl3r_export.model.whole_view import first_guess
 
 # Numbers that describe the match of one 1/8 cell; four cells make one 16 px token.
 CELL_FEATURES = 12
@@ -82,7 +83,9 @@ class StarMatching(nn.Module):
         """From the first view to every other, and behind them back from those."""
         context = self.flow.context(images.flatten(0, 1)).unflatten(0, maps.shape[:2])
         source, target = both_directions(maps)
-        return self.flow(source, target, both_directions(context)[0])
+        with full_precision(maps):
+            guess = first_guess(source, target)
+        return self.flow(source, target, both_directions(context)[0], guess)
 
     @staticmethod
     @torch.no_grad()
