@@ -124,6 +124,20 @@ def test_validation_does_not_touch_the_training(
     assert all(torch.equal(plain[name], watched[name]) for name in plain)
 
 
+def test_another_size_takes_the_matches_of_its_start_and_leaves_them(
+    monkeypatch: pytest.MonkeyPatch, shards: dict[str, Path], tmp_path: Path
+) -> None:
+    words = ("geometry", "--frozen", "--data", shards["data"], "--batch", 1, "--steps", 1)
+    train(monkeypatch, *words, "--out", tmp_path / "mini")
+    start = ("--config", "mini-small", "--start", tmp_path / "mini" / "last.pt")
+    train(monkeypatch, *words, *start, "--out", tmp_path / "small")
+    mini, small = (load_checkpoint(tmp_path / name / "last.pt") for name in ("mini", "small"))
+    assert ModelConfig.from_dict(small["config"]).name == "mini-small"
+    matching = [n for n in mini["training"] if n.startswith(("backbone.stem.", "matching.flow."))]
+    assert matching
+    assert all(torch.equal(mini["training"][n], small["training"][n]) for n in matching)
+
+
 @pytest.mark.slow
 def test_videos_train_the_whole_network(
     monkeypatch: pytest.MonkeyPatch, videos: Path, tmp_path: Path
@@ -161,6 +175,10 @@ def test_styles_are_learnt_on_videos_too(
         (("novel-views", "--data", "x"), "--perceptual"),
         (("photometric", "--perceptual", "x"), "--re10k or --dl3dv"),
         (("style", "--perceptual", "x", "--data", "x"), "--styles and --photos"),
+        (
+            ("photometric", "--perceptual", "x", "--re10k", "x", "--frozen"),
+            "geometry and novel-views",
+        ),
     ],
 )
 def test_what_a_stage_needs_is_said(

@@ -40,6 +40,7 @@ TRAINS = {
     "photometric": stages.used,
     "style": stages.appearance_trains,
 }
+FROZEN = {"geometry": stages.decoders_train, "novel-views": stages.attributes_train}
 NEEDS = {
     "geometry": (),
     "novel-views": ("perceptual",),
@@ -53,9 +54,15 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="styl3r_export.curriculum", description=__doc__)
     parser.add_argument("stage", choices=list(TRAINS))
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--config", choices=list(CONFIGS), default="mini", help="a new network's")
     parser.add_argument(
-        "--start", type=Path, help="checkpoint, or folder of exported graphs, to start from"
+        "--config",
+        choices=list(CONFIGS),
+        help="the network's sizes (default: the start's, or mini)",
+    )
+    parser.add_argument(
+        "--start",
+        type=Path,
+        help="checkpoint, or folder of exported graphs, to start from; what does not fit is new",
     )
     scenes = parser.add_argument_group("scenes: generated ones, or posed videos in chunks")
     scenes.add_argument("--data", type=Path, help="folder of scene shards")
@@ -76,7 +83,9 @@ def parse() -> argparse.Namespace:
     pictures.add_argument("--wikiart", action="store_true", help="read them as they are needed")
     pictures.add_argument("--photos", type=Path, help="folder of photographs")
     parser.add_argument(
-        "--frozen", action="store_true", help="novel views: leave depths and cameras as they are"
+        "--frozen",
+        action="store_true",
+        help="geometry: leave matches as they are; novel views: depths and cameras too",
     )
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--seconds", type=float, default=math.inf, help="stop after this time")
@@ -95,6 +104,8 @@ def parse() -> argparse.Namespace:
         missing += ["--data"] * (args.data is None)
     if missing:
         parser.error(f"the {args.stage} stage needs {' and '.join(missing)}")
+    if args.frozen and args.stage not in FROZEN:
+        parser.error(f"--frozen is for {' and '.join(FROZEN)}")
     return args
 
 
@@ -108,7 +119,7 @@ def main() -> None:
     schedule = Schedule(
         args.steps, learning_rate=args.learning_rate, validate_every=args.validate_every
     )
-    trains = stages.attributes_train if args.frozen else TRAINS[args.stage]
+    trains = (FROZEN if args.frozen else TRAINS)[args.stage]
     trainer = Trainer(
         args.out, schedule, trains, start=args.start, config=args.config, device=args.device
     )

@@ -12,6 +12,8 @@ from styl3r_export.model import Styl3r
 # Parts that the geometry stage leaves alone: it makes neither Gaussians nor colours.
 APPEARANCE = ("token_stylizer.", "gaussian_appearance_head.", "strokes.")
 ATTRIBUTES = ("gaussian_param_head.",)
+# What finds matches, before anything decodes them.
+MATCHES = ("backbone.stem.", "matching.flow.")
 # Present in every checkpoint, used by nothing.
 UNUSED = ("mask_token", "refinenet4.resConfUnit1")
 
@@ -24,6 +26,11 @@ def used(name: str) -> bool:
 def geometry_trains(name: str) -> bool:
     """Everything that depth, cameras and matches depend on."""
     return used(name) and not name.startswith(APPEARANCE + ATTRIBUTES)
+
+
+def decoders_train(name: str) -> bool:
+    """The geometry without its matches, which takes half the time."""
+    return geometry_trains(name) and not name.startswith(MATCHES)
 
 
 def novel_views_train(name: str) -> bool:

@@ -57,7 +57,7 @@ class Trainer:
         trainable: Callable[[str], bool],
         *,
         start: Path | None = None,
-        config: str = "mini",
+        config: str | None = None,
         device: str = "cpu",
         pretrained: Callable[[str], bool] = lambda name: name.startswith(
             ("backbone.stem.", "matching.flow.cnet.", "matching.flow.update_block.")
@@ -71,8 +71,9 @@ class Trainer:
         resume = folder / "last.pt"
         source = resume if resume.exists() else start
         state = load_start(source) if source else None
-        model_config = ModelConfig.from_dict(state["config"]) if state else None
-        self.model = build(model_config or config).to(self.device)
+        as_it_was = state and (source == resume or config is None)
+        sizes = ModelConfig.from_dict(state["config"]) if state and as_it_was else config or "mini"
+        self.model = build(sizes).to(self.device)
         if state:
             if source == resume:
                 self.model.load_state_dict(state["training"])
