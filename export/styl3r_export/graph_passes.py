@@ -106,6 +106,8 @@ def simplify(model: ir.Model, parameters: set[str]) -> None:
             rewriter.rewrite(model)
         passes.RemoveUnusedNodesPass()(model)
         passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
+        # No pass drops or merges what only a loop's body holds.
+        passes.LiftSubgraphInitializersToMainGraphPass()(model)
         merge_constants(model.graph, parameters)
         passes.CommonSubexpressionEliminationPass()(model)
     passes.RemoveUnusedFunctionsPass()(model)

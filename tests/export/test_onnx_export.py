@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 import torch
 
@@ -127,6 +129,15 @@ def test_graphs_are_plain_onnx(halved: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["structure.onnx", "appearance.onnx"])
+def test_loading_bundled_graphs_warns_of_nothing(
+    name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """As any program would load them: onnxruntime names what a graph holds for nothing."""
+    onnxruntime.InferenceSession(str(files("styl3r_cli") / "models" / "mini" / name))
+    assert capfd.readouterr().err == ""
+
+
 def test_each_graph_says_what_it_is(halved: Path) -> None:
     manifest = manifests.read_manifest(halved)
     for name in (manifests.STRUCTURE, manifests.APPEARANCE):
