@@ -128,7 +128,6 @@ def test_graphs_are_plain_onnx(halved: Path) -> None:
         assert {n.domain for n in model.graph.node} <= {""}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["structure.onnx", "appearance.onnx"])
 def test_loading_bundled_graphs_warns_of_nothing(
     name: str, capfd: pytest.CaptureFixture[str]
@@ -138,6 +137,7 @@ def test_loading_bundled_graphs_warns_of_nothing(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_each_graph_says_what_it_is(halved: Path) -> None:
     manifest = manifests.read_manifest(halved)
     for name in (manifests.STRUCTURE, manifests.APPEARANCE):
