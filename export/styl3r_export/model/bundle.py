@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from styl3r_export.model.loops import Carry, repeat
-from styl3r_export.model.rotations import Motion, multiply_quaternions, rotation_matrix
+from styl3r_export.model.normal_equations import FRONT, Cells, eliminate, linearise
+from styl3r_export.model.rotations import Motion, rotation_matrix, skew, turn
 
 # Relative Levenberg damping.
 DAMPING = 1e-3
@@ -25,8 +26,6 @@ GUESS_ERROR = 1.0
 MAX_TURN, MAX_STEP = 0.25, 0.3
 # Bounds of inverse depth (the scene's unit is its median depth).
 NEAREST, FARTHEST = 12.0, 0.01
-# A projected point must stay in front of the camera by this (homogeneous) depth.
-FRONT = 0.1
 # Errors below this length (ray units) are not told apart: keeps a square root's slope finite at
 # zero. Its square as a summand would be too small: graph optimisers take 1e-8 for nothing.
 SHORT = 1e-4
@@ -53,22 +52,26 @@ class Fit(NamedTuple):
     information: Float[Tensor, "2*pairs cells"]  # of inverse depth, in the match's weight
 
 
-class Normal(NamedTuple):
-    """Normal equations of each side in its own motion, cell depths still in."""
+class Solution(NamedTuple):
+    """What explains the matches of each pair in both directions."""
 
-    pose: Float[Tensor, "2*pairs 6 6"]
-    pose_gradient: Float[Tensor, "2*pairs 6"]
-    cross: Float[Tensor, "2*pairs cells 6"]
-    depth: Float[Tensor, "2*pairs cells"]
-    depth_gradient: Float[Tensor, "2*pairs cells"]
+    motion: Motion
+    rho: Float[Tensor, "2*pairs cells"]  # inverse depth
+    precision: Float[Tensor, "2*pairs cells"]  # of inverse depth: matches and prior
 
 
 def adjust(
     guess: Motion, sides: Sides, outliers: Sequence[float]
 ) -> tuple[Motion, Float[Tensor, "2*pairs cells"]]:
+    """Motions and inverse depths, the scale of the priors taken as it is: see `optimise`."""
+    found = optimise(guess, sides, outliers, scaled=False)
+    return found.motion, found.rho
+
+
+def optimise(guess: Motion, sides: Sides, outliers: Sequence[float], *, scaled: bool) -> Solution:
     """Motions and inverse depths that explain the matches of each pair in both directions.
 
-    Damped Gauss-Newton on the six pose parameters and one inverse depth a cell, the depths
+    Damped Gauss-Newton on a pair's six pose parameters and one inverse depth a cell, the depths
     eliminated by the Schur complement (their block is diagonal), with weights that discount
     outliers. Where matches are few the priors and the guess decide.
 
@@ -78,27 +81,86 @@ def adjust(
         outliers: for each iteration the error (ray units; 1 is the focal length) at which a
             match loses three quarters of its weight: large first, since from a wrong guess
             every true match looks like an outlier (graduated non-convexity).
-
-    Returns:
-        The motions, and the inverse depths of both sides' cells.
+        scaled: also solve for a seventh parameter, the log scale of the second half's prior
+            depths; together with the pose, since in turns they would hold each other back.
     """
+    cells = cells_of(sides)
+    parameters = 7 if scaled else 6
+    # A step's length is bounded in each of these groups.
+    groups = ((MAX_TURN, 3), (MAX_STEP, 3), (MAX_STEP, parameters - 6))
+    squares = torch.block_diag(*(torch.full((n, n), most**-2) for most, n in groups if n))
+    squares = squares.to(cells.rays.device)
 
     def iteration(carry: Carry, outlier: float | Tensor) -> Carry:
-        rotation, translation, rho, moved = carry
-        motion = Motion(rotation, translation)
-        both = both_ways(motion)
-        normal = normal_equations(both, sides, rho, outlier)
-        twist = twists(both)
-        step = solve(*reduce(normal, twist, moved))
-        step = torch.cat((limit(step[:, :3], MAX_TURN), limit(step[:, 3:], MAX_STEP)), dim=-1)
-        own_step = (twist @ torch.cat((step, step))[..., None]).squeeze(-1)
-        change = normal.depth_gradient + (normal.cross * own_step[:, None]).sum(dim=-1)
-        rho = (rho - change / normal.depth).clamp(FARTHEST, NEAREST)
-        return *move(motion, step), rho, moved + step
+        rotation, translation, rho, moved, _ = carry
+        pairs, rho = translation.shape[0], rho[:, None]
+        both = both_ways(Motion(rotation, translation))
+        held = rescale(cells, moved[:, 6:]) if scaled else cells
+        equations, weight = linearise(
+            both.rotation, both.translation[..., None], held, rho, outlier
+        )
+        system, share, precision = eliminate(equations, weight)
+        twist = twists(both.rotation[pairs:], translation, system.shape[-1])
+        matrix = system[:pairs] + twist.transpose(-1, -2) @ system[pairs:] @ twist
+        step = solve(*damped(matrix, moved))
+        step = step / (1 + step.square() @ squares).sqrt()
+        # Against the equations' columns: the step, the residual as it is, nothing of the depth.
+        first = F.pad(F.pad(step, (0, 1), value=1.0), (0, 1))[:, None]
+        rho = rho - torch.cat((first, first @ twist.transpose(-1, -2))) @ share
+        rho, precision = rho.clamp(FARTHEST, NEAREST).squeeze(1), precision.squeeze(1)
+        turned, moved_to = turn(rotation, step[:, :3]), translation + step[:, 3:6]
+        return turned, moved_to, rho, moved + step, precision
 
-    still = torch.cat((guess.translation, guess.translation), dim=-1) * 0
-    rotation, translation, rho, _ = repeat(iteration, (*guess, sides.prior, still), outliers)
-    return Motion(rotation, translation), rho
+    still = F.pad(guess.translation * 0, (0, parameters - 3))
+    start = (*guess, sides.prior, still, sides.prior * 0)
+    rotation, translation, rho, _, precision = repeat(iteration, start, outliers)
+    return Solution(Motion(rotation, translation), rho, precision)
+
+
+def cells_of(sides: Sides) -> Cells:
+    """Both sides as the solver reads them."""
+    return Cells(
+        rays=sides.rays.transpose(-1, -2).contiguous(),
+        matched=sides.matched.transpose(-1, -2).contiguous(),
+        weight=sides.weight[:, None] / NOISE**2,
+        prior=sides.prior[:, None],
+        stiffness=sides.stiffness[:, None],
+        by_scale=None,
+    )
+
+
+def rescale(cells: Cells, log_scale: Float[Tensor, "pairs 1"]) -> Cells:
+    """Prior depths of the second half, scaled; relative errors stay what they were."""
+    shrink = torch.cat((log_scale * 0, -log_scale)).exp()[..., None]
+    prior, stiffness = cells.prior * shrink, cells.stiffness / shrink.square()
+    of_scale = torch.cat((log_scale * 0, log_scale * 0 + 1))[..., None]
+    return cells._replace(prior=prior, stiffness=stiffness, by_scale=prior * of_scale)
+
+
+def twists(
+    back: Float[Tensor, "pairs 3 3"], translation: Float[Tensor, "pairs 3"], columns: int
+) -> Float[Tensor, "pairs columns columns"]:
+    """How a step (turn, shift) of a pair's motion moves the inverse motion; the rest stays.
+
+    For the inverse motion R^T, -R^T t a turn w and a shift d of the original come out as -R^T w
+    and -R^T [t]x w - R^T d.
+    """
+    shift = torch.cat((back @ skew(translation), back), dim=-1)
+    pose = torch.cat((F.pad(back, (0, 3)), shift), dim=-2)
+    rest = F.pad(torch.eye(columns - 6, device=back.device), (6, 0, 6, 0))
+    return rest - F.pad(pose, (0, columns - 6, 0, columns - 6))
+
+
+def damped(
+    system: Float[Tensor, "pairs columns columns"], moved: Float[Tensor, "pairs parameters"]
+) -> tuple[Float[Tensor, "pairs parameters parameters"], Float[Tensor, "pairs parameters"]]:
+    """Matrix and gradient of a pair's parameters, damped and held to the guess."""
+    n = moved.shape[-1]
+    matrix, gradient = system[:, :n, :n], system[:, :n, n]
+    held = GUESS_ERROR**-2
+    # What rounding leaves below zero on the diagonal must not undo the damping.
+    damping = (DAMPING * matrix.clamp_min(0) + held) * torch.eye(n, device=matrix.device)
+    return matrix + damping, gradient + held * moved
 
 
 class BothWays(NamedTuple):
@@ -117,107 +179,16 @@ def both_ways(motion: Motion) -> BothWays:
     return BothWays(torch.cat((rotation, back)), torch.cat((translation, inverse)))
 
 
-def twists(both: BothWays) -> Float[Tensor, "2*pairs 6 6"]:
-    """How a step (turn, shift) of a pair's motion moves each side's own motion.
-
-    The identity for the first half. For the inverse motion R', t' = R^T, -R^T t a turn w and a
-    shift d of the original come out as -R' w and [t']x R' w - R' d.
-    """
-    pairs = both.rotation.shape[0] // 2
-    rotation, shift = both.rotation[pairs:], both.translation[pairs:]
-    top = torch.cat((-rotation, rotation * 0), dim=-1)
-    bottom = torch.cat((skew(shift) @ rotation, -rotation), dim=-1)
-    inverse = torch.cat((top, bottom), dim=-2)
-    return torch.cat((torch.eye(6, device=shift.device) + inverse * 0, inverse))
-
-
-def move(motion: Motion, step: Float[Tensor, "pairs 6"]) -> Motion:
-    """A motion turned by a small rotation vector and shifted."""
-    half = torch.cat((torch.ones_like(step[:, :1]), step[:, :3] / 2), dim=-1)
-    turned = multiply_quaternions(F.normalize(half, dim=-1), motion.rotation)
-    return Motion(F.normalize(turned, dim=-1), motion.translation + step[:, 3:])
-
-
-def project(
-    both: BothWays, sides: Sides, rho: Tensor
-) -> tuple[Float[Tensor, "2*pairs cells 3"], Float[Tensor, "2*pairs cells 3"]]:
-    """Cells in the other view, before and after the shift, as homogeneous points.
-
-    With inverse depth rho the point is R r + rho t, linear in rho and defined at infinity.
-    """
-    turned = sides.rays @ both.rotation.transpose(-1, -2)
-    return turned, turned + rho[..., None] * both.translation[:, None]
-
-
 def fit(motion: Motion, sides: Sides, rho: Tensor) -> Fit:
     """Errors and depth information of all cells."""
     both = both_ways(motion)
-    _, y = project(both, sides, rho)
+    shift = both.translation[:, None]
+    y = sides.rays @ both.rotation.transpose(-1, -2) + rho[..., None] * shift
     z = y[..., 2:].clamp_min(FRONT)
-    seen, shift = y[..., :2] / z, both.translation[:, None]
+    seen = y[..., :2] / z
     by_depth = (shift[..., :2] - seen * shift[..., 2:]) / z
     error = SHORT * (((seen - sides.matched) / SHORT).square().sum(dim=-1) + 1).sqrt()
     return Fit(error, sides.weight * by_depth.square().sum(dim=-1))
-
-
-def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """Cross-product matrices."""
-    x, y, z = v.unbind(-1)
-    o = torch.zeros_like(x)
-    return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
-
-
-def cross(a: Float[Tensor, "*batch 3"], b: Float[Tensor, "*batch 3"]) -> Tensor:
-    """Cross products a x b."""
-    (ax, ay, az), (bx, by, bz) = a.unbind(-1), b.unbind(-1)
-    return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), dim=-1)
-
-
-def normal_equations(both: BothWays, sides: Sides, rho: Tensor, outlier: float | Tensor) -> Normal:
-    """Weighted squares of reprojection errors and of departures from the depth prior."""
-    turned, y = project(both, sides, rho)
-    z = y[..., 2:].clamp_min(FRONT)
-    seen, shift = y[..., :2] / z, both.translation[:, None]
-    residual = seen - sides.matched
-    # d(y)/d(turn) = -[R r]x, d(y)/d(shift) = rho I; then through the division by depth.
-    to_picture = torch.cat(
-        (torch.eye(2, device=z.device) + seen[..., None] * 0, -seen[..., None]), -1
-    )
-    to_picture = to_picture / z[..., None]
-    # A row r times [v]x is r x v: thousands of products of tiny matrices are slower.
-    by_turn = cross(turned[..., None, :], to_picture)
-    by_pose = torch.cat((by_turn, to_picture * rho[..., None, None]), dim=-1)
-    by_depth = (shift[..., :2] - seen * shift[..., 2:]) / z
-    squared = residual.square().sum(dim=-1) / outlier**2
-    # Geman-McClure: the weight of a gross outlier falls with the fourth power of its error.
-    robust = 1 / (1 + squared).square()
-    weight = sides.weight * robust * (y[..., 2] > FRONT).to(y.dtype) / NOISE**2
-    weighted = (by_pose * weight[..., None, None]).flatten(1, 2).transpose(-1, -2)
-    depth_weighted = by_depth * weight[..., None]
-    return Normal(
-        pose=weighted @ by_pose.flatten(1, 2),
-        pose_gradient=(weighted @ residual.flatten(1, 2)[..., None]).squeeze(-1),
-        cross=(by_pose * depth_weighted[..., None]).sum(dim=2),
-        depth=(depth_weighted * by_depth).sum(dim=-1) + sides.stiffness,
-        depth_gradient=(depth_weighted * residual).sum(dim=-1)
-        + sides.stiffness * (rho - sides.prior),
-    )
-
-
-def reduce(normal: Normal, twist: Tensor, moved: Float[Tensor, "pairs 6"]) -> tuple[Tensor, Tensor]:
-    """Each pair's six-by-six system, the depths of both its sides eliminated."""
-    share = normal.cross / normal.depth[..., None]
-    matrix = normal.pose - share.transpose(-1, -2) @ normal.cross
-    gradient = normal.pose_gradient - (share * normal.depth_gradient[..., None]).sum(dim=1)
-    matrix = twist.transpose(-1, -2) @ matrix @ twist
-    gradient = (twist.transpose(-1, -2) @ gradient[..., None]).squeeze(-1)
-    pairs = moved.shape[0]
-    matrix, gradient = matrix[:pairs] + matrix[pairs:], gradient[:pairs] + gradient[pairs:]
-    held = GUESS_ERROR**-2
-    eye = torch.eye(6, device=matrix.device)
-    # What rounding leaves below zero on the diagonal must not undo the damping.
-    damping = DAMPING * (matrix * eye).clamp_min(0) + held * eye
-    return matrix + damping, gradient + held * moved
 
 
 def solve(
@@ -225,13 +196,9 @@ def solve(
 ) -> Float[Tensor, "pairs n"]:
     """-matrix^-1 gradient by Gauss-Jordan elimination (symmetric, positive, damped: no pivots)."""
     m = torch.cat((matrix, -gradient[..., None]), dim=-1)
-    for k, keep in enumerate(1 - torch.eye(matrix.shape[-1], device=matrix.device)):
-        row = m[:, k : k + 1] / m[:, k : k + 1, k : k + 1]
+    for k, unit in enumerate(torch.eye(matrix.shape[-1], device=matrix.device)[..., None]):
+        row = m[:, k : k + 1]
         # The pivot's own row keeps nothing of itself but the normalised row.
-        m = m * keep[:, None] + (1 - keep[:, None] - keep[:, None] * m[:, :, k : k + 1]) * row
+        others = m * (1 - unit)
+        m = others + (unit - others[:, :, k : k + 1]) * (row / row[:, :, k : k + 1])
     return m[..., -1]
-
-
-def limit(v: Float[Tensor, "pairs 3"], most: float) -> Float[Tensor, "pairs 3"]:
-    """Vectors shortened smoothly so that none is longer than `most`."""
-    return v / (1 + v.square().sum(dim=-1, keepdim=True) / most**2).sqrt()

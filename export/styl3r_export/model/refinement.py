@@ -10,25 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from styl3r_export.model.bundle import (
-    DAMPING,
-    FARTHEST,
-    GUESS_ERROR,
-    MAX_STEP,
-    MAX_TURN,
-    NEAREST,
-    BothWays,
-    Normal,
-    Sides,
-    both_ways,
-    fit,
-    limit,
-    move,
-    normal_equations,
-    solve,
-    twists,
-)
-from styl3r_export.model.loops import Carry, repeat
+from styl3r_export.model.bundle import FARTHEST, NEAREST, Sides, fit, optimise
 from styl3r_export.model.matching import cell_centres
 from styl3r_export.model.rotations import Motion, full_precision
 
@@ -132,75 +114,13 @@ class Adjusted(NamedTuple):
 
 
 def adjust_scaled(guess: Motion, sides: Sides, outliers: Sequence[float]) -> Adjusted:
-    """`bundle.adjust` with a seventh parameter, the scale of the other view's decoded depths.
+    """`bundle.optimise` with a seventh parameter, the scale of the other view's decoded depths.
 
     Errors of one view's depths are mostly common to all of them; a scale of its own lets the
-    view follow the matches where single depths, each held to its prior, would not. Solved for
-    together with the pose: in turns, they would hold each other back.
+    view follow the matches where single depths, each held to its prior, would not.
     """
-
-    def iteration(carry: Carry, outlier: float | Tensor) -> Carry:
-        rotation, translation, rho, moved, _ = carry
-        motion = Motion(rotation, translation)
-        both = both_ways(motion)
-        held = rescale(sides, moved[:, 6])
-        normal = with_scale(normal_equations(both, held, rho, outlier), held, rho)
-        twist = scaled_twists(both)
-        step = solve(*reduce_scaled(normal, twist, moved))
-        turn, shift, scale = step.split((3, 3, 1), dim=-1)
-        limited = (limit(turn, MAX_TURN), limit(shift, MAX_STEP), limit(scale, MAX_STEP))
-        step = torch.cat(limited, dim=-1)
-        own_step = (twist @ torch.cat((step, step))[..., None]).squeeze(-1)
-        change = normal.depth_gradient + (normal.cross * own_step[:, None]).sum(dim=-1)
-        rho = (rho - change / normal.depth).clamp(FARTHEST, NEAREST)
-        return *move(motion, step[:, :6]), rho, moved + step, normal.depth
-
-    still, no_precision = F.pad(guess.translation * 0, (0, 4)), sides.prior * 0
-    start = (*guess, sides.prior, still, no_precision)
-    rotation, translation, rho, _, precision = repeat(iteration, start, outliers)
-    return Adjusted(Motion(rotation, translation), (sides.prior / rho).log(), precision)
-
-
-def rescale(sides: Sides, log_scale: Float[Tensor, " pairs"]) -> Sides:
-    """Decoded depths of the second half, scaled; relative errors stay what they were."""
-    shrink = torch.cat((log_scale * 0, -log_scale)).exp()[:, None]
-    return sides._replace(prior=sides.prior * shrink, stiffness=sides.stiffness / shrink.square())
-
-
-def with_scale(normal: Normal, sides: Sides, rho: Tensor) -> Normal:
-    """Append the log scale, which moves the priors only, to each side's parameters."""
-    pull = sides.stiffness * sides.prior
-    corner = F.pad((pull * sides.prior).sum(dim=-1)[:, None, None], (6, 0, 6, 0))
-    slope = (pull * (rho - sides.prior)).sum(dim=-1, keepdim=True)
-    return normal._replace(
-        pose=F.pad(normal.pose, (0, 1, 0, 1)) + corner,
-        pose_gradient=torch.cat((normal.pose_gradient, slope), dim=-1),
-        cross=torch.cat((normal.cross, pull[..., None]), dim=-1),
-    )
-
-
-def scaled_twists(both: BothWays) -> Float[Tensor, "2*pairs 7 7"]:
-    """`bundle.twists`, and the scale: the second half's own, none of the first half's."""
-    none = both.translation[: both.translation.shape[0] // 2, :1, None] * 0
-    scale = F.pad(torch.cat((none, none + 1)), (6, 0, 6, 0))
-    return F.pad(twists(both), (0, 1, 0, 1)) + scale
-
-
-def reduce_scaled(
-    normal: Normal, twist: Float[Tensor, "2*pairs 7 7"], moved: Float[Tensor, "pairs 7"]
-) -> tuple[Tensor, Tensor]:
-    """Each pair's seven-by-seven system, the depths of both its sides eliminated."""
-    share = normal.cross / normal.depth[..., None]
-    matrix = normal.pose - share.transpose(-1, -2) @ normal.cross
-    gradient = normal.pose_gradient - (share * normal.depth_gradient[..., None]).sum(dim=1)
-    turned = twist.transpose(-1, -2)
-    matrix, gradient = turned @ matrix @ twist, (turned @ gradient[..., None]).squeeze(-1)
-    pairs = moved.shape[0]
-    matrix, gradient = matrix[:pairs] + matrix[pairs:], gradient[:pairs] + gradient[pairs:]
-    eye = torch.eye(7, device=matrix.device)
-    # What rounding leaves below zero on the diagonal must not undo the damping.
-    damping = DAMPING * (matrix * eye).clamp_min(0) + GUESS_ERROR**-2 * eye
-    return matrix + damping, gradient + GUESS_ERROR**-2 * moved
+    found = optimise(guess, sides, outliers, scaled=True)
+    return Adjusted(found.motion, (sides.prior / found.rho).log(), found.precision)
 
 
 def fuse(adjusted: Adjusted, sides: Sides, pairs: tuple[int, int]) -> Float[Tensor, "batch cells"]:

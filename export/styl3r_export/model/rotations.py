@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional as F
 
 
 class Motion(NamedTuple):
@@ -40,15 +41,29 @@ def multiply_quaternions(a: Float[Tensor, "*batch 4"], b: Float[Tensor, "*batch 
     )
 
 
+# The product's table: [i, j] is the product of the i-th and the j-th unit, w x y z.
+UNITS = multiply_quaternions(torch.eye(4)[:, None], torch.eye(4))
+# Matrices of the cross product with each axis, the axes last.
+SKEW = torch.linalg.cross(torch.eye(3)[:, None], torch.eye(3)[None]).transpose(0, 2)
+
+
+def turn(q: Float[Tensor, "n 4"], by: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+    """Unit quaternions turned by small rotation vectors (few operators: for a solver's loop)."""
+    half = F.pad(by / 2, (1, 0), value=1.0)
+    each = half[:, :, None, None] * (q[:, None, :, None] * UNITS.to(q))
+    turned = each.sum(dim=(1, 2))
+    return turned / turned.norm(dim=-1, keepdim=True)
+
+
+def skew(v: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Cross-product matrices."""
+    return (v[..., None, None, :] * SKEW.to(v)).sum(dim=-1)
+
+
 def rotation_matrix(q: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
-    """Rotation matrices of unit quaternions w x y z."""
-    w, x, y, z = q.unbind(-1)
-    rows = (
-        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
-        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
-        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
-    )  # fmt: skip
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+    """Rotation matrices of unit quaternions w x y z: I + 2 w [v]x + 2 [v]x [v]x."""
+    axis = skew(q[..., 1:])
+    return torch.eye(3, device=q.device) + 2 * (q[..., :1, None] * axis + axis @ axis)
 
 
 def full_precision(x: Tensor) -> AbstractContextManager[None]:
