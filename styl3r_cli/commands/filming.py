@@ -57,8 +57,8 @@ def film(request: RenderRequest, quiet: bool) -> None:
         check_size(request, first.width, first.height)
         check_frames(request, len(shots.cameras))
         count = len(scene.gaussians) + (len(other.gaussians) if other else 0)
-        pixels = first.width * first.height * request.beside
-        limits.check(needs.drawing(pixels, count, request.kind in MOVIES))
+        area = first.width * first.height * request.beside
+        limits.check(needs.drawing(area, count, request.kind in MOVIES))
     if request.save_path:
         from styl3r_cli.cameras.camera_path import write_camera_path
 

@@ -20,7 +20,8 @@ def check_environment() -> None:
     except ValueError as error:  # it does not say of which variable
         given = " ".join(f"{k}={v}" for k, v in os.environ.items() if k.startswith(PREFIX))
         raise UsageError(f"{given}: numba refuses that ({error}); unset it") from error
-    if numba.config.DISABLE_JIT:  # in Python alone a frame would take minutes
+    # In Python alone a frame would take minutes.
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         raise UsageError(
             "NUMBA_DISABLE_JIT: frames are drawn by code that numba compiles; unset it"
         )
