@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from styl3r_cli import limits, needs
 from styl3r_cli import manifest as manifests
-from styl3r_cli import memory
 from styl3r_cli.errors import ModelError
 from styl3r_cli.manifest import Manifest
 from styl3r_cli.names import user_path
@@ -84,7 +84,7 @@ class Model:
             OutOfMemoryError: this process may not use as much memory as it takes.
             UsageError: the device or the name does not exist here.
         """
-        memory.check_limit(memory.LEAST_FOR_NETWORK)
+        limits.check(needs.network())
         folder = find(model)
         manifest = manifests.read_manifest(folder)
 

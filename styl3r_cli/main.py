@@ -13,7 +13,7 @@ from typing import NoReturn
 
 import click
 
-from styl3r_cli import __version__, console, endings, memory
+from styl3r_cli import __version__, console, endings, limits, memory, needs
 from styl3r_cli.errors import BROKEN_PIPE, MEANINGS, ExitCode, Styl3rError
 from styl3r_cli.files import ClosedOutput
 
@@ -35,6 +35,7 @@ COMMANDS = {
 HIDDEN = {"man": ("man", "The manual page: styl3r man | man -l -")}
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
 COMPLETION = "_STYL3R_COMPLETE"  # click's; what else a shell sets then may be missing or wrong
+FOR_SHELLS = f"{COMPLETION} is for shells: see styl3r completion --help"
 OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
 
 
@@ -98,7 +99,7 @@ class LazyGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> object:
         """As click does, but Ctrl-C prints no empty line, and a closed pipe has its own code."""
-        memory.check_limit(memory.LEAST_AT_ALL)
+        limits.check(needs.at_all())
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -185,15 +186,17 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _fail(_usage_message(error), ExitCode.USAGE)
     except (KeyboardInterrupt, click.Abort):
         return ExitCode.INTERRUPTED
+    except SystemExit as asked:  # click's, of a shell or a wish that it does not know
+        if asked.code != ExitCode.INTERNAL or not os.environ.get(COMPLETION):
+            raise
+        return _fail(FOR_SHELLS, ExitCode.USAGE)
     except Exception as error:  # whatever it is, a user sees one line
         if os.environ.get(DEBUG) == "1":
             raise
         if memory.ended(error):
             return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
         if os.environ.get(COMPLETION):
-            return _fail(
-                f"{COMPLETION} is for shells: see styl3r completion --help", ExitCode.USAGE
-            )
+            return _fail(FOR_SHELLS, ExitCode.USAGE)
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
             return _fail(f"{os.fsdecode(error.filename)}: {error.strerror}", ExitCode.INPUT)
         if isinstance(error, OSError) and error.errno in UNWRITABLE:  # files have their own message

@@ -1,4 +1,4 @@
-"""Memory that ends: how to recognise it, whoever reports it, and a check before the start."""
+"""Memory that ends: how to recognise it, whoever reports it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ PHRASES = (
     "cannot create shared object descriptor",
     "bad_alloc",  # C++, as onnxruntime and OpenCV pass it on
     "bad allocation",
+    "encoding error 1",  # libwebp's number for it, as Pillow passes it on
     "failed to allocate",
     "insufficient memory",
     "out of memory",
@@ -22,14 +23,6 @@ PHRASES = (
     "can't start new thread",  # Python: there was no room for its stack
 )
 NOT_MEMORY = "static tls block"  # "cannot allocate memory in" it: a limit of the loader's
-# Bytes of address space, which is several times the memory that is used: libraries and the stacks
-# of threads count in full. All were measured on two cores; under less, libraries in C crash or
-# wait for ever. Three views of 64x64 and their cameras take 1.1 GB, a frame of 64x64 0.69 GB;
-# under 0.16 GB numpy does not load, and its own lines on that end in a signal as of Ctrl-C.
-LEAST_AT_ALL = 200 << 20
-LEAST_FOR_NETWORK = 1200 << 20
-LEAST_TO_DRAW = 700 << 20
-MEGABYTE = 1 << 20
 
 
 def ended(error: BaseException | None) -> bool:
@@ -48,27 +41,3 @@ def _says_so(error: BaseException) -> bool:
         return True
     text = str(error).lower()
     return NOT_MEMORY not in text and any(phrase in text for phrase in PHRASES)
-
-
-def check_limit(least: int) -> None:
-    """Refuse to start under a limit (`ulimit -v`) that the work ahead cannot be done under.
-
-    Raises:
-        OutOfMemoryError: the limit is below `least`, one of the constants above.
-    """
-    limit = address_space()
-    if limit is not None and limit < least:
-        raise OutOfMemoryError(
-            f"out of memory: this process may use {limit // MEGABYTE} MB of addresses, and needs "
-            f"{least // MEGABYTE} MB or more; raise the limit (ulimit -v unlimited)"
-        )
-
-
-def address_space() -> int | None:
-    """Bytes of addresses that this process may use; None where nothing limits them."""
-    try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        return None
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return None if limit == resource.RLIM_INFINITY else limit

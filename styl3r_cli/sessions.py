@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import re
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +16,7 @@ import numpy as np
 from styl3r_cli import memory
 from styl3r_cli.errors import ModelError, OutOfMemoryError, Styl3rError, UsageError, shortened
 from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.limits import available_cores
 from styl3r_cli.onnx_library import onnxruntime
 
 if TYPE_CHECKING:
@@ -211,13 +211,6 @@ def _find_cuda() -> None:
     """
     with _finding_cuda, redirect_stdout(io.StringIO()):
         onnxruntime().preload_dlls()
-
-
-def available_cores() -> int:
-    """Cores that this process may run on (containers and taskset allow fewer than there are)."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _failure(path: Path, what: str, error: Exception) -> Styl3rError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from styl3r_cli import __version__
+from styl3r_cli import __version__, limits, needs
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.commands.render_request import (
     LINEAR,
@@ -32,6 +32,7 @@ from styl3r_cli.frames import (
     write_picture,
 )
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.quality import SHARES
 
 SCENE_KEYS = ("generator", "model")  # of a scene's metadata, for the frames made of it
@@ -55,6 +56,9 @@ def film(request: RenderRequest, quiet: bool) -> None:
         first = shots.cameras[0]
         check_size(request, first.width, first.height)
         check_frames(request, len(shots.cameras))
+        count = len(scene.gaussians) + (len(other.gaussians) if other else 0)
+        area = first.width * first.height * request.beside
+        limits.check(needs.drawing(area, count, request.kind in MOVIES))
     if request.save_path:
         from styl3r_cli.cameras.camera_path import write_camera_path
 

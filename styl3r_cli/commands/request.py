@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from styl3r_cli import limits, needs
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix, make_folder
 from styl3r_cli.commands.each import check_each, one_by_one, outputs_of
@@ -21,7 +23,7 @@ from styl3r_cli.painter import warm_up
 from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
 from styl3r_cli.photos.focal import focal_from_fov
 from styl3r_cli.photos.listing import parse_list
-from styl3r_cli.photos.load import DEFAULT_SIZE
+from styl3r_cli.photos.load import DEFAULT_SIZE, MAX_VIEWS
 from styl3r_cli.pipeline import Stylizer, style_shares
 from styl3r_cli.quality import BEST, COMPACTED, FITTED, KEPT_DECIBELS, network_size
 
@@ -104,6 +106,8 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
     paths = _without_styles(request, expand(request.photos, notes, listed), notes)
     _check(request, paths)
     known = _known_cameras(request, paths, notes)
+    size = request.size[::-1] if request.size else network_size(request.quality, DEFAULT_SIZE)
+    _check_limits(request, paths, size)
     if FITTED[request.quality]:
         warm_up(compact=request.decibels is not None)
     for note in notes:
@@ -117,14 +121,12 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
         loading = pool.submit(Stylizer, *settings, one_scene=True)
         with console.stage("photos"):
             styles, left_out = _load_styles(request)
-            size = (
-                request.size[::-1] if request.size else network_size(request.quality, DEFAULT_SIZE)
-            )
             photos = load(size)
         with console.stage("model"):
             stylizer = loading.result()
     wanted = network_size(request.quality, stylizer.model.input_size)
     if request.size is None and wanted != size:
+        _check_limits(request, paths, wanted)
         with console.stage("photos"):
             photos = load(wanted)
     for note in [*photos.notes, *(note for style in styles if style for note in style.notes)]:
@@ -133,6 +135,18 @@ def load_inputs(request: SceneRequest, console: Console) -> Inputs:
         for path in outputs_of(request):
             make_folder(path.parent)
     return Inputs(stylizer, photos, styles, left_out)
+
+
+def _check_limits(request: SceneRequest, photos: list[Path], size: tuple[int, int]) -> None:
+    """Refuse limits under which the scene could not be made, before the work.
+
+    Raises:
+        OutOfMemoryError: a limit is too low for it.
+    """
+    draws = FITTED[request.quality] or request.decibels is not None
+    pixels = min(len(photos), MAX_VIEWS) * math.prod(size)
+    shown = request.video is not None or request.preview is not None
+    limits.check(needs.scene(pixels) if draws else needs.network(pixels, shown))
 
 
 def _load_styles(request: SceneRequest) -> tuple[list[Style | None], list[str]]:

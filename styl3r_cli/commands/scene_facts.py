@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from styl3r_cli import limits, needs
 from styl3r_cli.cameras.stored import KEY, cameras_from_metadata
 from styl3r_cli.commands.scene_file import SceneFile
 from styl3r_cli.console import one_line
@@ -58,7 +59,12 @@ def facts(name: str, file: SceneFile) -> dict[str, Any]:
 
 
 def sizes_by_format(scene: Scene, done: Callable[[], None]) -> dict[str, int]:
-    """Bytes of the scene in every format that can hold it; `done` is called after each."""
+    """Bytes of the scene in every format that can hold it; `done` is called after each.
+
+    Raises:
+        OutOfMemoryError: this process may not use what the dearest of them takes.
+    """
+    limits.check(needs.points())
     sizes = {}
     for suffix in MODULES:
         with suppress(OutputError):

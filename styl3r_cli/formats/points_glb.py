@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from styl3r_cli import limits, needs
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.stored import cameras_from_metadata
 from styl3r_cli.errors import InputError
@@ -39,6 +40,7 @@ def encode(gaussians: Gaussians, metadata: dict[str, str]) -> Encoded:
         gaussians: the scene; nearly transparent Gaussians are left out.
         metadata: its cameras become frusta, the rest is left out.
     """
+    limits.check(needs.points())  # under less, the scipy that it brings waits for ever
     import trimesh
 
     notes: list[str] = []

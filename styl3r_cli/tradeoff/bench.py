@@ -10,10 +10,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
 
 from styl3r_cli.tradeoff.points import Point
 
 JOURNAL = "measured.jsonl"
+COUNTED = ("memory", "bytes", "gaussians")  # in a result, beside its seconds
+# What reading fails with where an editor or a full disk was at it.
+DAMAGED = (LookupError, TypeError, AttributeError, ValueError, OSError, EOFError, BadZipFile)
 LAST_LINES = 200  # characters of a crashed worker's complaint that are worth telling
 
 
@@ -62,14 +68,28 @@ class Bench:
         """Take over what an earlier run of the same inputs measured; whether there was any."""
         lines = self._journal()
         head = {"inputs": self.fingerprint()}
-        if lines and lines[0] == head:
-            for entry in lines[1:]:
-                self.results[entry["point"], entry["repeat"]] = entry["result"]
+        if lines and lines[0] == head and self._take_over(lines[1:]):
             return bool(self.results)
+        self.results.clear()
         (self.folder / JOURNAL).write_text(json.dumps(head) + "\n", encoding="utf-8")
         for stale in self.folder.glob("*.npz"):
             stale.unlink()
         return False
+
+    def _take_over(self, entries: list[dict[str, Any]]) -> bool:
+        """Fill in what was measured; False where that, or its pictures, are not as written."""
+        try:
+            for entry in entries:
+                result = self.results[entry["point"], entry["repeat"]] = entry["result"]
+                if "failed" not in result:
+                    sum(result["seconds"].values(), sum(result[name] for name in COUNTED))
+                arrays = self.folder / f"{entry['point']}.npz"
+                if arrays.exists():
+                    with np.load(arrays) as stored:
+                        dict(stored)
+        except DAMAGED:
+            return False
+        return True
 
     def _journal(self) -> list[dict[str, Any]]:
         """Its whole lines; a last one that was cut short is left out."""

@@ -19,9 +19,9 @@ import click
 
 from styl3r_cli.files import atomic_write
 from styl3r_cli.graphs import find
+from styl3r_cli.limits import available_cores
 from styl3r_cli.manifest import read_manifest
 from styl3r_cli.quality import BEST, COMPACTED, FITTED, MEASURED, QUALITIES, network_size
-from styl3r_cli.sessions import available_cores
 from styl3r_cli.splatting.timing import machine
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.points import AS_NEEDED, COLOURS, GIVEN, WHOLE, Point

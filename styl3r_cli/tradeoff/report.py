@@ -14,15 +14,15 @@ from typing import Any
 import click
 import numpy as np
 
-from styl3r_cli import __version__
+from styl3r_cli import __version__, limits, needs
 from styl3r_cli.commands.checks import check_outputs
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, OutputError, UsageError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, to_picture
+from styl3r_cli.limits import available_cores
 from styl3r_cli.photos import expand, load_photos
 from styl3r_cli.pipes import is_pipe
-from styl3r_cli.sessions import available_cores
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.page import make_page
 from styl3r_cli.tradeoff.perceptual import Perceptual
@@ -71,6 +71,8 @@ def run(request: Request) -> None:
     console = Console(request.quiet)
     photos = expand(request.photos, [])
     check(request, photos)
+    views = max(request.views or [len(photos)])
+    limits.check(needs.scene(views * max(request.sizes) ** 2))
     cameras = true_cameras(request.cameras, photos, console)
     depths = true_depths(request.cameras, photos, request.sizes, console)
     side = request.sizes[0]

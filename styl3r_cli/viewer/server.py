@@ -13,6 +13,7 @@ from styl3r_cli.cameras import poses
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.viewer.address import Address
+from styl3r_cli.viewer.origins import own_pages_only
 from styl3r_cli.viewer.splats import least_scales, to_splats
 from styl3r_cli.viewer.start import View, first_view, vertical_fov, view_of
 
@@ -45,6 +46,9 @@ def serving(
 
     Yields:
         Where a browser on this machine finds the page.
+
+    Raises:
+        UsageError: this version of viser could be talked to by any web site.
     """
     import rich
     import viser
@@ -52,7 +56,8 @@ def serving(
     rich.get_console().quiet = True  # viser prints to standard output, which is for results
     # A browser that goes away half-way is no event; the library would print tracebacks.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    server = viser.ViserServer(host=address.host, port=address.port, verbose=False)
+    with own_pages_only(address.private):
+        server = viser.ViserServer(host=address.host, port=address.port, verbose=False)
     try:
         first = next(iter(scenes.values()))
         start = first_view(first, cameras)

@@ -105,6 +105,16 @@ def test_symbolic_link_stays_a_link(tmp_path: Path) -> None:
     assert target.read_text() == "new"
 
 
+def test_what_another_name_of_the_file_leads_to_stays(tmp_path: Path) -> None:
+    """A result whose name is a hard link of an input replaces the name, and not the input."""
+    entered, result = tmp_path / "a.txt", tmp_path / "result.txt"
+    entered.write_text("input")
+    result.hardlink_to(entered)
+    with atomic_write(result) as temporary:
+        temporary.write_text("new")
+    assert (entered.read_text(), result.read_text()) == ("input", "new")
+
+
 def test_devices_are_written_directly() -> None:
     with atomic_write(Path("/dev/null")) as temporary:
         assert temporary == Path("/dev/null")

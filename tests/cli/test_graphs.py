@@ -19,7 +19,8 @@ from styl3r_cli import graphs
 from styl3r_cli import manifest as manifests
 from styl3r_cli.errors import ModelError, UsageError
 from styl3r_cli.graphs import Model
-from styl3r_cli.sessions import Graph, available_cores, providers
+from styl3r_cli.limits import available_cores
+from styl3r_cli.sessions import Graph, providers
 
 onnx = pytest.importorskip("onnx")
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import errno
+import subprocess
 import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
-from styl3r_cli import main, memory
+from styl3r_cli import graphs, limits, main, memory, needs
 from styl3r_cli.errors import ExitCode, ModelError, OutOfMemoryError
+from styl3r_cli.formats import write_scene
+from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.onnx_library import NEEDED, onnxruntime
 
 Run = Callable[..., tuple[int, bytes, str]]
@@ -30,6 +34,7 @@ ENDED = [
     OSError(errno.ENOMEM, "Cannot allocate memory"),
     RuntimeError("can't start new thread"),
     RuntimeError("std::bad_alloc"),
+    ValueError("encoding error 1"),
     caused(ImportError("numpy: Error importing numpy"), MemoryError()),
 ]
 
@@ -116,17 +121,68 @@ def test_onnxruntime_is_whole() -> None:
     assert all(hasattr(onnxruntime(), name) for name in NEEDED)
 
 
+@pytest.mark.parametrize(("kind", "what"), [("addresses", "addresses"), ("data", "data")])
 def test_a_limit_that_is_too_low_is_said_before_the_model_loads(
-    run: Run, photos: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run,
+    photos: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    what: str,
 ) -> None:
-    monkeypatch.setattr(memory, "address_space", lambda: 500 << 20)
+    monkeypatch.setattr(limits, kind, lambda: 500 << 20)
+    monkeypatch.setattr(graphs.Model, "load", lambda *_: pytest.fail("the model was loaded"))
     code, out, err = run("reconstruct", *photos, "-o", tmp_path / "x.ply", "--fov", "50")
     assert (code, out, err.count("\n")) == (1, b"", 1)
-    assert "out of memory: this process may use 500 MB of addresses, and needs 1200 MB" in err
+    assert f"out of memory: this process may use 500 MB of {what}, and needs " in err
     assert not (tmp_path / "x.ply").exists()
-    monkeypatch.setattr(memory, "address_space", lambda: 130 << 20)
+    monkeypatch.setattr(limits, kind, lambda: 130 << 20)
     assert (
         main.run(["info", str(tmp_path / "x.ply")]) == ExitCode.INTERNAL
     )  # before it is looked for
-    monkeypatch.setattr(memory, "address_space", lambda: None)
-    memory.check_limit(memory.LEAST_FOR_NETWORK)
+    monkeypatch.setattr(limits, kind, lambda: None)
+    limits.check(needs.network())
+
+
+def test_more_photos_pixels_and_cores_need_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    few, many = needs.scene(2 * 256 * 256), needs.scene(8 * 256 * 256)
+    assert few.addresses >= 2434 << 20  # as measured
+    assert few.data >= 1477 << 20
+    assert many.addresses >= 4897 << 20
+    assert many.data >= 3344 << 20
+    assert needs.network(2 * 256 * 256).addresses < few.addresses
+    monkeypatch.setattr(needs, "available_cores", lambda: 16)
+    assert needs.scene(2 * 256 * 256).addresses >= 4893 << 20
+
+
+def test_the_sizes_of_info_are_not_begun_without_room_for_the_dearest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = np.ones((1, 3), np.float32)
+    path = tmp_path / "x.ply"
+    write_scene(path, Gaussians(one, one, np.eye(4, dtype=np.float32)[:1], one[:, 0], one))
+    monkeypatch.setattr(limits, "addresses", lambda: 300 << 20)
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    assert main.run(["info", str(path)]) == ExitCode.INTERNAL
+    assert capsys.readouterr().err.count("out of memory") == 1
+    assert main.run(["info", "--no-sizes", str(path)]) == ExitCode.SUCCESS
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limits are Linux's")
+@pytest.mark.parametrize("megabytes", [7, 15, 60])
+def test_hardly_any_data(megabytes: int) -> None:
+    """Less than the libraries that tell of errors take, or numpy: it is told nevertheless."""
+    import resource
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_DATA, (megabytes << 20, megabytes << 20))
+
+    done = subprocess.run(
+        [sys.executable, "-m", "styl3r_cli", "info", "x.ply"],
+        preexec_fn=limited,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert done.stderr.startswith(f"styl3r: error: out of memory: this process may use {megabytes}")

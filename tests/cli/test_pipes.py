@@ -216,6 +216,13 @@ def test_completion_by_hand_is_no_bug(words: dict[str, str]) -> None:
     assert b"is for shells" in result.stderr
 
 
+@pytest.mark.parametrize("wish", ["x", "bash_x", "_"])
+def test_completion_of_no_shell_says_so(wish: str) -> None:
+    result = styl3r("info", "x.ply", env=os.environ | {"_STYL3R_COMPLETE": wish})
+    assert (result.returncode, result.stderr.count(b"\n")) == (2, 1)
+    assert b"is for shells" in result.stderr
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts_call_the_program(shell: str) -> None:
     result = styl3r("completion", shell)

@@ -161,6 +161,35 @@ def test_a_report_is_whole_and_needs_nothing_else(
     assert len(out.decode().splitlines()) == 1 + 5 + len(report["recommended"])
 
 
+@pytest.mark.parametrize(
+    ("damaged", "data"),
+    [
+        ("measured.jsonl", b'{"point": 3}\n'),
+        ("measured.jsonl", b"[]\n"),
+        ("measured.jsonl", b'{"point": "x", "repeat": 0, "result": {"seconds": {}}}\n'),
+        ("*.npz", b"x"),
+        ("*.npz", b"PK\x03\x04"),
+    ],
+)
+def test_what_was_measured_and_then_damaged_is_measured_anew(
+    measure: Run,
+    here: list[dict[str, Any]],
+    photos: list[Path],
+    tmp_path: Path,
+    damaged: str,
+    data: bytes,
+) -> None:
+    plain = ("-o", tmp_path / "r", "--precisions", "fp32", "--sizes", "48", "--views", "2")
+    plain = (*plain, "--budgets", "100", "--drawings", "exact", "--fov", 60, "--colours", "plain")
+    assert measure(*photos, *plain, "--repeats", 1)[0] == 0
+    before = len(here)
+    for path in (tmp_path / "r" / "work").glob(damaged):
+        path.write_bytes(data if damaged.startswith("*") else path.read_bytes() + data)
+    code, _, err = measure(*photos, *plain, "--repeats", 1)
+    assert (code, "a bug" in err) == (0, False)
+    assert len(here) == 2 * before
+
+
 def test_interrupted_runs_go_on_and_other_inputs_start_anew(
     measure: Run,
     here: list[dict[str, Any]],

@@ -11,9 +11,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.limits import available_cores
 from styl3r_cli.photos import Photos, load_photos, load_style
 from styl3r_cli.pipeline import Scene, Stylizer
-from styl3r_cli.sessions import available_cores
 from styl3r_cli.tradeoff.worker import peak_memory
 
 TORCH = "torch"  # instead of a model folder: the network that the checkpoint holds, in torch

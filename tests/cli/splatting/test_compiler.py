@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 import threading
@@ -19,6 +20,17 @@ def test_a_kernel_works_without_a_place_for_its_cache():
     names: dict = {}
     exec("def double(x):\n    return 2 * x", names)  # has no file, so numba finds no cache for it
     assert kernel(names["double"])(21) == 42
+
+
+@pytest.mark.parametrize("variable", ["NUMBA_NUM_THREADS=0", "NUMBA_DISABLE_JIT=1"])
+def test_settings_under_which_nothing_is_compiled_are_named(variable: str) -> None:
+    name, value = variable.split("=")
+    command = [sys.executable, "-m", "styl3r_cli", "bench", "render", "--gaussians", "9"]
+    environment = os.environ | {name: value}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith(f"styl3r: error: {name}")
+    assert "unset it" in done.stderr
 
 
 @pytest.mark.parametrize("collecting", [True, False])
