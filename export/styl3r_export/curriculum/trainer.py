@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from styl3r_export.checkpoints import listed
 from styl3r_export.curriculum.layout import channels_last
 from styl3r_export.graphs_reading import load_graphs
 from styl3r_export.model import ModelConfig, Styl3r, build
@@ -250,4 +251,4 @@ def load_fitting(model: Styl3r, weights: dict[str, Tensor]) -> None:
     fitting = {n: w for n, w in weights.items() if n in own and own[n].shape == w.shape}
     model.load_state_dict(fitting, strict=False)
     if missing := sorted(set(own) - set(fitting)):
-        print(f"starting anew: {', '.join(missing)}", file=sys.stderr)
+        print(f"starting anew: {listed(missing)}", file=sys.stderr)
