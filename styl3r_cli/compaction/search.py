@@ -30,7 +30,9 @@ BEGIN_SHARE, BEGIN_BELOW, AIM_ABOVE = 0.6, 4.0, 0.5
 # Shapes are fitted so often; that gains so many decibels, at least. It takes as long again.
 RESHAPES, RESHAPED = 2, 4.0
 WASTE = 2.0  # decibels too many are worth one more attempt
-FINE = 0.97  # a share of what is known to do that is no longer worth an attempt
+# Shares that are no longer worth an attempt: of what is known to do, and, where nothing else is, of
+# the whole scene: there is more to wait for than to gain where hardly anything may be merged.
+FINE, HARDLY_LESS = 0.97, 0.9
 MOST_ATTEMPTS = 8
 # What is brighter, or darker than minus that, is merged as if it were that: no display shows the
 # difference, and squares of it, summed over pixels, are within float32.
@@ -91,7 +93,7 @@ class Compactor:
         done: Attempt | None = None
         rough: Attempt | None = None
         for _ in range(MOST_ATTEMPTS):
-            if count >= FINE * (most if done is None else len(done.gaussians)):
+            if count >= (HARDLY_LESS * most if done is None else FINE * len(done.gaussians)):
                 break
             if rough is None:
                 made = rough = self._attempt(count, None, shown, targets, ROUGH_STEPS)
