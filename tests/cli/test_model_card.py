@@ -1,4 +1,4 @@
-"""The bundled model's papers: its card is of what is bundled, and the licences' texts come along."""
+"""The bundled model's papers: the card is of what is bundled, the licences' texts come along."""
 
 from __future__ import annotations
 
