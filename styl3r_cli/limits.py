@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import threading
 from typing import NamedTuple
 
 from styl3r_cli.errors import OutOfMemoryError
 
 MEGABYTE = 1 << 20
+# Threads a core that libraries start: numpy's BLAS, scipy's, and numba's or the network's.
+THREADS = 4
+MANY_THREADS = 500  # a core; nobody but a container's or a shell's limit is below
 
 
 class Need(NamedTuple):
@@ -46,6 +50,36 @@ def check(*needs: Need) -> None:
                 f"out of memory: this process may use {limit // MEGABYTE} MB {what}, and needs "
                 f"{need // MEGABYTE} MB or more; raise the limit (ulimit {option} unlimited)"
             )
+
+
+def check_threads() -> None:
+    """Refuse to start where the threads of the libraries cannot.
+
+    OpenBLAS then interrupts the process as Ctrl-C does, so that it ends as if a user had asked.
+    A limit that leaves room for hundreds is not tried.
+
+    Raises:
+        OutOfMemoryError: the limit on a user's processes, which counts threads, is too low.
+    """
+    limit = _limit("RLIMIT_NPROC")
+    if limit is None or limit >= MANY_THREADS * available_cores():
+        return
+    ended = threading.Event()
+    threads = [threading.Thread(target=ended.wait) for _ in range(THREADS * available_cores())]
+    started = []
+    try:
+        for thread in threads:
+            thread.start()
+            started.append(thread)
+    except RuntimeError as error:
+        raise OutOfMemoryError(
+            f"out of threads: all processes of this user may have {limit} together, and this one "
+            f"needs {len(threads)} more; raise the limit (ulimit -u)"
+        ) from error
+    finally:
+        ended.set()
+        for thread in started:
+            thread.join()
 
 
 def addresses() -> int | None:

@@ -100,6 +100,7 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> object:
         """As click does, but Ctrl-C prints no empty line, and a closed pipe has its own code."""
         limits.check(needs.at_all())
+        limits.check_threads()
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:

@@ -34,6 +34,7 @@ from styl3r_cli.frames import (
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.movies import FILES as MOVIES
 from styl3r_cli.quality import SHARES
+from styl3r_cli.video import frame_rate
 
 SCENE_KEYS = ("generator", "model")  # of a scene's metadata, for the frames made of it
 
@@ -60,6 +61,7 @@ def film(request: RenderRequest, quiet: bool) -> None:
         area = first.width * first.height * request.beside
         limits.check(needs.drawing(area, count, request.kind in MOVIES))
     if request.save_path:
+        frame_rate(shots.fps)  # or a refusal would leave the path's file, with endless seconds
         from styl3r_cli.cameras.camera_path import write_camera_path
 
         write_camera_path(request.save_path, shots.cameras, shots.fps, shots.loop)

@@ -27,7 +27,8 @@ LONGEST_SIDES = {
     "jpg": 65500,
     "jpeg": 65500,
 }
-TOO_WIDE = r"%\D?\d{4}"  # a number of thousands of digits is no file's name
+# A number of thousands of digits is no file's name, whether they are its width or its precision.
+TOO_WIDE = r"%[-+ #\d.]*\d{4}"
 WITH_ALPHA = ("webm", "webp", "png", "rgb")
 TRANSPARENT = "transparent"
 

@@ -16,7 +16,7 @@ from styl3r_cli.cameras.transforms import frames_of_photos, known_cameras, read_
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, ModelError
 from styl3r_cli.graphs import find
-from styl3r_cli.manifest import MANIFEST, read_manifest
+from styl3r_cli.manifest import APPEARANCE, MANIFEST, STRUCTURE, check_file, read_manifest
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.photos.depth import read_depth
 from styl3r_cli.photos.resize import fit_map
@@ -65,9 +65,25 @@ def model_folders(
 
 
 def _is_made(target: Path, weights_id: str) -> bool:
+    """Whether an earlier run made it of these weights, and it is whole.
+
+    Its files go where the manifest is damaged: nothing else tells that they are an export's, which
+    alone is replaced.
+    """
     if not (target / MANIFEST).is_file():
         return False
-    return read_manifest(target).weights_id == weights_id
+    try:
+        made = read_manifest(target)
+    except ModelError:
+        for name in (MANIFEST, STRUCTURE, APPEARANCE):
+            (target / name).unlink(missing_ok=True)
+        return False
+    try:
+        for name in made.files:
+            check_file(target, name, made)
+    except ModelError:
+        return False
+    return made.weights_id == weights_id
 
 
 def _make(

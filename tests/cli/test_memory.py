@@ -186,3 +186,25 @@ def test_hardly_any_data(megabytes: int) -> None:
     )
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert done.stderr.startswith(f"styl3r: error: out of memory: this process may use {megabytes}")
+
+
+# The limit is not root's: as somebody else, once all is loaded that only root may read.
+AS_SOMEBODY = """
+import os, resource, sys, threading
+from styl3r_cli import main
+if os.geteuid() == 0:
+    os.setuid(65534)
+resource.setrlimit(resource.RLIMIT_NPROC, (int(sys.argv[1]),) * 2)
+main.main(["info", "x.ply"])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limits are Linux's")
+@pytest.mark.parametrize("threads", [1, 5])
+def test_hardly_any_threads(threads: int) -> None:
+    """OpenBLAS interrupts a process that gets none, which would end as if by Ctrl-C."""
+    command = [sys.executable, "-c", AS_SOMEBODY, str(threads)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert done.stderr.startswith("styl3r: error: out of threads: ")
+    assert "(ulimit -u)" in done.stderr

@@ -437,6 +437,9 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
         (["{scene}", "-o", "x.webp", "--size", "8192", "--show", "both"], 2, "at most 16383"),
         (["{scene}", "-o", ""], 2, "name is empty"),
         (["{scene}", "-o", "%0999999999d.png"], 2, "one frame number"),
+        (["{scene}", "-o", "%+.2147483646d%d.png"], 2, "one frame number"),
+        (["{scene}", "-o", "x.mp4", "--fps", "1e-9", "--save-path", "p.json"], 2, "0.01 or more"),
+        (["{scene}", "-o", "%d.png", "--fps", "1e-308", "--save-path", "p.json"], 2, "0.01 or"),
         (
             ["{scene}", "-o", "x.mp4", "--save-path", "{cameras}", "--cameras", "{cameras}"],
             2,

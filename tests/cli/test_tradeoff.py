@@ -190,6 +190,21 @@ def test_what_was_measured_and_then_damaged_is_measured_anew(
     assert len(here) == 2 * before
 
 
+@pytest.mark.parametrize("name", ["manifest.json", "structure.onnx"])
+def test_a_precision_that_was_made_and_then_damaged_is_made_anew(
+    measure: Run, here: list[dict[str, Any]], photos: list[Path], tmp_path: Path, name: str
+) -> None:
+    pytest.importorskip("onnx_ir")
+    plain = ("-o", tmp_path / "r", "--precisions", "w8", "--sizes", "48", "--views", "2")
+    plain = (*plain, "--budgets", "100", "--drawings", "exact", "--fov", 60, "--colours", "plain")
+    assert measure(*photos, *plain, "--repeats", 1)[0] == 0
+    made = tmp_path / "r" / "work" / "w8" / name
+    whole = made.read_bytes()
+    made.write_bytes(whole[:5])
+    assert measure(*photos, *plain, "--repeats", 1)[0] == 0
+    assert made.read_bytes() == whole
+
+
 def test_interrupted_runs_go_on_and_other_inputs_start_anew(
     measure: Run,
     here: list[dict[str, Any]],
