@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +15,14 @@ import torch
 
 from styl3r_cli import manifest as manifests
 from styl3r_cli.errors import ExitCode, ModelError, OutputError
+from styl3r_cli.graphs import BUNDLED
 from styl3r_cli.main import run
 from styl3r_export import export_graphs as exporting
 from styl3r_export import onnx_export
 from styl3r_export.export_graphs import check_finite, export_graphs
 from styl3r_export.graphs_metadata import Provenance
 from styl3r_export.graphs_reading import is_needed, load_graphs
-from styl3r_export.model import FULL, MINI, ModelConfig, Styl3r, build
+from styl3r_export.model import FULL, ModelConfig, Styl3r, build
 from styl3r_export.precision import HALF_MIN_ELEMENTS, round_weights, rounded, to_half
 from styl3r_export.quantise.folders import check_target
 from styl3r_export.verify import (
@@ -133,7 +133,7 @@ def test_loading_bundled_graphs_warns_of_nothing(
     name: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """As any program would load them: onnxruntime names what a graph holds for nothing."""
-    onnxruntime.InferenceSession(str(files("styl3r_cli") / "models" / "mini" / name))
+    onnxruntime.InferenceSession(BUNDLED / "mini" / name)
     assert capfd.readouterr().err == ""
 
 
@@ -237,10 +237,12 @@ def test_values_beyond_half_precision_are_refused(value: float) -> None:
 
 @pytest.mark.slow
 def test_mini_agrees_and_fits_its_budget(tmp_path: Path) -> None:
-    report = export_graphs(small_model(MINI), tmp_path / "mini", "fp16", cases=CASES)
+    # As it ships: one that has learnt nothing finds no cameras, and what a solver then gives hangs
+    # on the last bit (torch with one thread and with two differs by 4e-3).
+    model, _ = load_graphs(BUNDLED / "mini")
+    report = export_graphs(model, tmp_path / "mini", "fp16", cases=CASES)
     assert {row.case.views for row in report.rows} == {2, 3, 4, 8}
     assert {row.case.styles for row in report.rows} == {1, 3}
-    # Cameras of a network that has learnt nothing are ill-conditioned, and move all points.
     assert max(row.worst for row in report.rows) < 3e-4
     assert sum(entry.bytes for entry in report.manifest.files.values()) < 32_000_000
 
