@@ -95,7 +95,7 @@ def background_of(request: RenderRequest) -> Background | None:
     Raises:
         UsageError: it is no colour, or the format has no alpha.
     """
-    asked = request.background or SURROUNDINGS
+    asked = SURROUNDINGS if request.background is None else request.background
     if asked == SURROUNDINGS:
         return SURROUNDINGS
     if asked != TRANSPARENT:
@@ -117,10 +117,13 @@ def parse_colour(text: str) -> Colour:
     from PIL import ImageColor
 
     try:
-        red, green, blue = ImageColor.getrgb(text)[:3]
-    except ValueError as error:
+        values: tuple[int, ...] = ImageColor.getrgb(text)
+    except ValueError:
+        values = ()
+    if len(values) != 3:  # colours that are half transparent are none: a background is opaque
         message = f"--background '{text}': not a colour such as white, #203040 or rgb(32,48,64)"
-        raise UsageError(message) from error
+        raise UsageError(message)
+    red, green, blue = values
     return red / 255, green / 255, blue / 255
 
 

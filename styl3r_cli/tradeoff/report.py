@@ -22,6 +22,7 @@ from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, to_picture
 from styl3r_cli.limits import available_cores
 from styl3r_cli.photos import expand, load_photos
+from styl3r_cli.photos.load import MAX_VIEWS
 from styl3r_cli.pipes import is_pipe
 from styl3r_cli.tradeoff.bench import Bench
 from styl3r_cli.tradeoff.page import make_page
@@ -71,7 +72,7 @@ def run(request: Request) -> None:
     console = Console(request.quiet)
     photos = expand(request.photos, [])
     check(request, photos)
-    views = max(request.views or [len(photos)])
+    views = max(request.views or [min(len(photos), MAX_VIEWS)])
     limits.check(needs.scene(views * max(request.sizes) ** 2))
     cameras = true_cameras(request.cameras, photos, console)
     depths = true_depths(request.cameras, photos, request.sizes, console)

@@ -446,6 +446,8 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
             "input",
         ),
         (["{scene}", "-o", "x.mp4", "--background", "greenish"], 2, "greenish"),
+        (["{scene}", "-o", "x.mp4", "--background", "rgba(1,2,3,9)"], 2, "rgba(1,2,3,9)"),
+        (["{scene}", "-o", "x.mp4", "--background", ""], 2, "not a colour"),
         (["{scene}", "-o", "x.mp4", "--cameras", "{cameras}", "--frames", "3"], 2, "--path"),
         (["{scene}", "-o", "x.mp4", "--cameras", "no.json"], 3, "no.json"),
         (["{foreign}", "-o", "x.mp4", "--path", "interpolate"], 2, "interpolate"),

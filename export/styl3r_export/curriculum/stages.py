@@ -29,7 +29,7 @@ def geometry_trains(name: str) -> bool:
 
 
 def decoders_train(name: str) -> bool:
-    """The geometry without its matches, which takes half the time."""
+    """The geometry without its matches."""
     return geometry_trains(name) and not name.startswith(MATCHES)
 
 

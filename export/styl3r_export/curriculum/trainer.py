@@ -72,8 +72,9 @@ class Trainer:
         resume = folder / "last.pt"
         source = resume if resume.exists() else start
         state = load_start(source) if source else None
-        as_it_was = state and (source == resume or config is None)
-        sizes = ModelConfig.from_dict(state["config"]) if state and as_it_was else config or "mini"
+        sizes: ModelConfig | str = config or "mini"
+        if state and (source == resume or config is None):
+            sizes = ModelConfig.from_dict(state["config"])
         self.model = build(sizes).to(self.device)
         if state:
             if source == resume:
