@@ -152,8 +152,9 @@ def test_a_bad_cache_is_no_obstacle(tmp_path: Path, damage: str):
                 file.write_bytes(data[:middle])
             elif damage == "garbage":
                 file.write_bytes(b"?" * len(data))
-            elif damage == "bit":
-                file.write_bytes(data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :])
+            elif damage == "bit":  # of the machine code, whose first section follows ELF's head
+                place = data.index(b"\x7fELF") + 64 if b"\x7fELF" in data else middle
+                file.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
     assert [numbers[0] for numbers in printed] == ["42", "42"]
     assert (printed[1][1] == "1") == (damage == "none")
 
