@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.errors import OutputError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.video import frame_rate
@@ -83,11 +82,9 @@ def write_exr(path: Path, frame: Frame, camera: Camera, options: ExrOptions) -> 
         file = OpenEXR.File(parts)
     else:
         file = OpenEXR.File(header, colour | depth)
-    with atomic_write(path) as temporary:
-        try:
-            file.write(str(temporary))
-        except RuntimeError as error:  # the library's own; its message names the temporary file
-            raise OutputError(f"cannot write {path}: OpenEXR failed (is the disk full?)") from error
+    # The library's own files swallow what fails when they are closed, as on a disk that is full.
+    with atomic_write(path) as temporary, temporary.open("wb") as stream:
+        file.write(stream)
 
 
 def _header(camera: Camera, options: ExrOptions) -> dict[str, Any]:

@@ -145,15 +145,19 @@ def read_file(path: Path) -> bytes:
     """What is in a file, or comes through a pipe that has a name: mkfifo's, or a shell's `<(...)`.
 
     Raises:
-        OSError: it cannot be read; it is a pipe that nobody writes to for long; or it is a
-            device: /dev/zero never ends, and a link may lead there.
+        OSError: it cannot be read; it is a pipe that nobody writes to for long, or something of
+            the system's that has nothing to say yet; or it is a device: /dev/zero never ends, and
+            a link may lead there.
     """
     with open(path, "rb", opener=opened_at_once) as file:
         mode = os.fstat(file.fileno()).st_mode
         if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise OSError(errno.EINVAL, "a device, not a file", str(path))
         begun = first_bytes(file.fileno()) if stat.S_ISFIFO(mode) else b""
-        return begun + file.read()
+        rest = file.read()
+        if rest is None:  # /proc/kmsg, say
+            raise BlockingIOError(errno.EAGAIN, "nothing to be read", str(path))
+        return begun + rest
 
 
 def read_stdin() -> bytes:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from styl3r_cli.errors import OutputError
 from styl3r_cli.files import atomic_write, stdout_stream
 from styl3r_cli.frames import Picture
 
@@ -35,9 +37,17 @@ def write_movie(destination: Path | None, frames: Iterable[Picture], fps: float,
     if destination is not None:
         with atomic_write(destination) as temporary:
             return _write_file(temporary, frames, fps, kind, str(destination))
-    with TemporaryDirectory(prefix="styl3r-") as folder, stdout_stream() as write:
-        path = Path(folder) / f"video.{kind}"
-        count = _write_file(path, frames, fps, kind, "the video")
+    with stdout_stream() as write, ExitStack() as stack:
+        try:
+            folder = stack.enter_context(TemporaryDirectory(prefix="styl3r-"))
+            path = Path(folder) / f"video.{kind}"
+            count = _write_file(path, frames, fps, kind, "the video")
+        except OSError as error:
+            reason = error.strerror or error
+            raise OutputError(
+                f"cannot write the video: {reason} (it is whole in a folder before it goes to "
+                "standard output; TMPDIR names another)"
+            ) from error
         with path.open("rb") as file:
             while block := file.read(BLOCK):
                 write(block)

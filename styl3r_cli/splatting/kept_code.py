@@ -11,6 +11,7 @@ from numba.core.caching import IndexDataCacheFile
 
 from styl3r_cli.files import atomic_write
 
+DIGEST_BYTES = hashlib.sha256().digest_size  # at the start of a file: of what follows
 NAME_DIGITS = 16  # of a digest: two of a kernel's few kinds of arguments never share it
 
 
@@ -29,18 +30,22 @@ class KeptCode(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
         Raises:
             OutputError: there is no place.
         """
+        kept = self._dump((self._origin(key), data))
         with atomic_write(self._path(key)) as file:
-            file.write_bytes(self._dump((self._origin(key), data)))
+            file.write_bytes(hashlib.sha256(kept).digest() + kept)
 
     def load(self, key: Any) -> Any:
-        """The code, or None where there is none of these sources and this processor.
+        """The code, or None where there is none of these sources and this processor, or no longer.
 
         Raises:
-            Exception: of any kind, where the file is damaged.
+            Exception: of any kind, where the file is not one that `save` wrote.
         """
         try:
-            kept = self._path(key).read_bytes()
+            stored = self._path(key).read_bytes()
         except FileNotFoundError:
+            return None
+        kept = stored[DIGEST_BYTES:]
+        if hashlib.sha256(kept).digest() != stored[:DIGEST_BYTES]:  # machine code would crash
             return None
         origin, data = pickle.loads(kept)
         return data if origin == self._origin(key) else None

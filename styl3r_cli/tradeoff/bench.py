@@ -7,19 +7,19 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
-import numpy as np
-
+from styl3r_cli.errors import OutputError
+from styl3r_cli.tradeoff.journal import Journal, digest_of
 from styl3r_cli.tradeoff.points import Point
 
 JOURNAL = "measured.jsonl"
-COUNTED = ("memory", "bytes", "gaussians")  # in a result, beside its seconds
-# What reading fails with where an editor or a full disk was at it.
-DAMAGED = (LookupError, TypeError, AttributeError, ValueError, OSError, EOFError, BadZipFile)
+# In a result: what kept a worker from writing its pictures; and whether a failure may be the
+# machine's (memory, a signal), so that a run that goes on tries again.
+UNWRITABLE, AGAIN = "unwritable", "again"
 LAST_LINES = 200  # characters of a crashed worker's complaint that are worth telling
 
 
@@ -54,7 +54,7 @@ class Bench:
     def fingerprint(self) -> str:
         """The same for the same inputs, so that no journal is continued with others."""
         files = [*self.photos, *self.styles]
-        told = [(str(path.resolve()), path.stat().st_size) for path in files]
+        told = [(str(path.resolve()), digest_of(path)) for path in files]
         models = {
             name: hashlib.sha256((Path(folder) / "manifest.json").read_bytes()).hexdigest()
             for name, folder in self.models.items()
@@ -65,45 +65,32 @@ class Bench:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def resume(self) -> bool:
-        """Take over what an earlier run of the same inputs measured; whether there was any."""
-        lines = self._journal()
+        """Take over what an earlier run of the same inputs measured; whether there was any.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
         head = {"inputs": self.fingerprint()}
-        if lines and lines[0] == head and self._take_over(lines[1:]):
-            return bool(self.results)
-        self.results.clear()
-        (self.folder / JOURNAL).write_text(json.dumps(head) + "\n", encoding="utf-8")
-        for stale in self.folder.glob("*.npz"):
-            stale.unlink()
-        return False
+        entries = self._journal.read()
+        kept = [entry for entry in entries[1:] if self._is_there(entry)]
+        if entries[:1] != [head]:
+            kept = []
+            for stale in self.folder.glob("*.npz"):
+                with suppress(OSError):  # nothing but room is lost
+                    stale.unlink()
+        self.results = {(entry["point"], entry["repeat"]): entry["result"] for entry in kept}
+        self._journal.write([head, *kept])
+        return bool(kept)
 
-    def _take_over(self, entries: list[dict[str, Any]]) -> bool:
-        """Fill in what was measured; False where that, or its pictures, are not as written."""
-        try:
-            for entry in entries:
-                result = self.results[entry["point"], entry["repeat"]] = entry["result"]
-                if "failed" not in result:
-                    sum(result["seconds"].values(), sum(result[name] for name in COUNTED))
-                arrays = self.folder / f"{entry['point']}.npz"
-                if arrays.exists():
-                    with np.load(arrays) as stored:
-                        dict(stored)
-        except DAMAGED:
-            return False
-        return True
+    @property
+    def _journal(self) -> Journal:
+        return Journal(self.folder / JOURNAL)
 
-    def _journal(self) -> list[dict[str, Any]]:
-        """Its whole lines; a last one that was cut short is left out."""
-        entries = []
-        try:
-            text = (self.folder / JOURNAL).read_text(encoding="utf-8")
-        except FileNotFoundError:
-            return []
-        for line in text.splitlines():
-            try:
-                entries.append(json.loads(line))
-            except ValueError:
-                break
-        return entries
+    def _is_there(self, entry: dict[str, Any]) -> bool:
+        """Whether the pictures that were made with a measurement are as they were."""
+        if entry["arrays"] is None:
+            return True
+        return digest_of(self.folder / f"{entry['point']}.npz") == entry["arrays"]
 
     def left(self, points: Sequence[Point], repeats: int) -> list[tuple[Point, int]]:
         """What is still to be measured: all points once, then all again, and so on."""
@@ -118,14 +105,20 @@ class Bench:
     def run(
         self, points: Sequence[Point], repeats: int, done: Callable[[], None] = lambda: None
     ) -> None:
-        """Measure what is left, each time in a new process, and write each result down."""
+        """Measure what is left, each time in a new process, and write each result down.
+
+        Raises:
+            OutputError: a result cannot be written.
+        """
         for point, repeat in self.left(points, repeats):
             if "failed" not in self.results.get((point.key, 0), {}):
                 result = work(self.job(point, repeat))
                 self.results[point.key, repeat] = result
-                entry = {"point": point.key, "repeat": repeat, "result": result}
-                with (self.folder / JOURNAL).open("a", encoding="utf-8") as journal:
-                    journal.write(json.dumps(entry) + "\n")
+                if not result.get(AGAIN):
+                    made = repeat == 0 and "failed" not in result
+                    arrays = digest_of(self.arrays_of(point)) if made else None
+                    entry = {"point": point.key, "repeat": repeat, "result": result}
+                    self._journal.add(entry | {"arrays": arrays})
             done()
 
     def job(self, point: Point, repeat: int) -> dict[str, Any]:
@@ -156,12 +149,19 @@ class Bench:
 
 
 def work(job: dict[str, Any]) -> dict[str, Any]:
-    """A job's result, from a process of its own; what it says when it dies is its result too."""
+    """A job's result, from a process of its own; what it says when it dies is its result too.
+
+    Raises:
+        OutputError: it could not write its pictures.
+    """
     command = [sys.executable, "-m", "styl3r_cli.tradeoff.worker"]
     ended = subprocess.run(command, input=json.dumps(job), capture_output=True, text=True)
     if ended.returncode != 0:
         if "KeyboardInterrupt" in ended.stderr:
             raise KeyboardInterrupt
         last = (ended.stderr.strip().splitlines() or [f"exit code {ended.returncode}"])[-1]
-        return {"failed": last[:LAST_LINES]}
-    return json.loads(ended.stdout)
+        return {"failed": last[:LAST_LINES], AGAIN: True}
+    result: dict[str, Any] = json.loads(ended.stdout)
+    if UNWRITABLE in result:
+        raise OutputError(result[UNWRITABLE])
+    return result

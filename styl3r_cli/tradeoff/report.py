@@ -7,7 +7,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,11 @@ from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, to_picture
 from styl3r_cli.limits import available_cores
 from styl3r_cli.photos import expand, load_photos
+from styl3r_cli.photos.focal import focal_from_fov
 from styl3r_cli.photos.load import MAX_VIEWS
 from styl3r_cli.pipes import is_pipe
 from styl3r_cli.tradeoff.bench import Bench
+from styl3r_cli.tradeoff.journal import alone_in
 from styl3r_cli.tradeoff.page import make_page
 from styl3r_cli.tradeoff.perceptual import Perceptual
 from styl3r_cli.tradeoff.points import GIVEN, Dials, Point
@@ -85,16 +87,24 @@ def run(request: Request) -> None:
         raise OutputError(f"cannot make the folder {work}: {error.strerror}") from error
     results = [request.output / name for name in (PAGE, CSV, JSON)]
     check_outputs(results, [*photos, *_files(request)], prints=True)
+    with alone_in(work):
+        _measure(request, work, photos, Truth([], perceptual, cameras, depths), console)
+
+
+def _measure(
+    request: Request, work: Path, photos: Sequence[Path], truth: Truth, console: Console
+) -> None:
+    """Make what is missing of models and measurements, and write the report."""
     folders = model_folders(
         request.model, request.precisions, work, photos, request.styles, console
     )
     dials = make_dials(request, len(photos), list(folders))
     points = dials.points(request.grid)
     pictures, poses = _held_out(request, photos, dials.reference, console)
-    truth = Truth(pictures, perceptual, cameras, depths)
+    truth, side = replace(truth, pictures=pictures), dials.reference.size
     bench = Bench(
         *(work, photos, request.styles, request.fov, (side, side), folders, poses, request.cameras),
-        depths=bool(depths),
+        depths=bool(truth.depths),
     )
     if bench.resume():
         console.note(f"{request.output}: goes on with what was measured before")
@@ -118,7 +128,7 @@ def check(request: Request, photos: Sequence[Path]) -> None:
     """Refuse what could not be measured.
 
     Raises:
-        UsageError: a size or a number of views that the network does not take.
+        UsageError: a size, a number of views or a lens that the network does not take.
         InputError: fewer than two photos, or more than eight.
     """
     if not 2 <= len(photos) <= MOST_VIEWS:
@@ -128,6 +138,8 @@ def check(request: Request, photos: Sequence[Path]) -> None:
             raise UsageError(f"--sizes {size}: sides must be multiples of 16")
     if request.views and max(request.views) > len(photos):
         raise UsageError(f"--views {max(request.views)}: there are {len(photos)} photos")
+    if request.fov is not None:
+        focal_from_fov(request.fov, 1)  # refuses what no lens has
     if request.lpips is not None and not request.holdout:
         raise UsageError("--lpips: there are no pictures to measure it of; name some by --holdout")
     for style in request.styles:

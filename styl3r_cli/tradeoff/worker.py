@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from styl3r_cli import memory
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.depth_errors import view_depths
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import recover
 from styl3r_cli.cameras.transforms import known_cameras
-from styl3r_cli.errors import Styl3rError
+from styl3r_cli.errors import OutputError, Styl3rError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.formats import encode_scene
 from styl3r_cli.frames import Drawing, Picture, coarse, colours
@@ -28,6 +29,7 @@ from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.pipeline import Stylizer
 from styl3r_cli.quality import KEPT_DECIBELS, SHARES
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, between
+from styl3r_cli.tradeoff.bench import AGAIN, UNWRITABLE
 from styl3r_cli.tradeoff.points import AS_NEEDED, WHOLE
 
 KILOBYTES = 1024  # Linux counts a process's memory in them, macOS in bytes
@@ -191,10 +193,12 @@ def main() -> None:
     job = json.load(sys.stdin)
     try:
         result = measure(job)
+    except OutputError as error:
+        result = {UNWRITABLE: str(error)}
     except Styl3rError as error:
-        result = {"failed": str(error)}
+        result = {"failed": str(error), AGAIN: memory.ended(error)}
     except MemoryError:
-        result = {"failed": "out of memory"}
+        result = {"failed": "out of memory", AGAIN: True}
     json.dump(result, sys.stdout)
 
 

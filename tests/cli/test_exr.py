@@ -182,6 +182,29 @@ def test_full_disk_is_one_line(gaussians: Gaussians) -> None:
         exr.write_exr(full, render(gaussians, camera, None), camera, ExrOptions())
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on files' sizes there")
+@pytest.mark.parametrize("compression", exr.COMPRESSIONS)
+def test_a_disk_that_is_full_at_the_last_byte(
+    gaussians: Gaussians, tmp_path: Path, compression: str
+) -> None:
+    """The library's own files swallow what fails when they are closed."""
+    import resource
+
+    camera = turned_camera()
+    frame, options = render(gaussians, camera, None), ExrOptions(compression)
+    exr.write_exr(tmp_path / "whole.exr", frame, camera, options)
+    size = (tmp_path / "whole.exr").stat().st_size
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        for missing in (1, 100, 1000):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (size - missing, hard))
+            with pytest.raises(OutputError, match=r"cut\.exr: File too large"):
+                exr.write_exr(tmp_path / "cut.exr", frame, camera, options)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path.name for path in tmp_path.iterdir()] == ["whole.exr"]
+
+
 @pytest.mark.parametrize("compression", exr.COMPRESSIONS)
 def test_every_compression_keeps_what_it_says(
     gaussians: Gaussians, tmp_path: Path, compression: str

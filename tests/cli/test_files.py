@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import stat
 import subprocess
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from styl3r_cli.errors import OutputError
-from styl3r_cli.files import atomic_write
+from styl3r_cli.files import atomic_write, read_file
 
 
 def listing(folder: Path) -> list[str]:
@@ -172,3 +173,18 @@ def test_reader_that_leaves_early_is_noticed_without_buffering() -> None:
         assert process.stdout.read(100) == b"x" * 100
         process.stdout.close()
         assert process.stderr.read().decode().strip().endswith("closed it early")
+
+
+def test_what_has_nothing_to_say_yet_is_no_bug(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As /proc/kmsg, whose reading would take the messages from others."""
+    (tmp_path / "silent").touch()
+
+    class Silent(io.FileIO):
+        def readall(self) -> None:  # type: ignore[override]
+            return None
+
+    monkeypatch.setattr("builtins.open", lambda name, *_, **__: io.BufferedReader(Silent(name)))
+    with pytest.raises(OSError, match="nothing to be read"):
+        read_file(tmp_path / "silent")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import sys
+import tempfile
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from styl3r_cli.errors import UsageError
+from styl3r_cli.errors import OutputError, UsageError
 from styl3r_cli.movies import FILES, PIPED, write_movie
 
 COUNT, RATE = 9, 24
@@ -170,3 +172,26 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path, kind: str) -> None
     peak(3)
     frame = 64 * 64 * 3
     assert peak(60) - peak(6) < 5 * frame
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit on files' sizes there")
+@pytest.mark.usefixtures("capsysbinary")
+def test_a_full_temporary_folder_is_not_taken_for_standard_output() -> None:
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+        with pytest.raises(OutputError, match=r"cannot write the video: .*TMPDIR"):
+            write_movie(None, make_frames(COUNT, 64, 48), RATE, "gif")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.usefixtures("capsysbinary")
+def test_no_temporary_folder_is_no_bug(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where everything is read-only."""
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", lambda: ["/proc/nowhere"])
+    with pytest.raises(OutputError, match="No usable temporary directory"):
+        write_movie(None, make_frames(COUNT, 64, 48), RATE, "mp4")

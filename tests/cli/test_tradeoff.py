@@ -1,4 +1,4 @@
-"""`styl3r tradeoff`: what is measured, how agreement is counted, and how interrupted runs go on."""
+"""`styl3r tradeoff`: what is measured, how agreement is counted, and what a report has."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.tradeoff import bench, worker
+from styl3r_cli.tradeoff import worker
 from styl3r_cli.tradeoff.agreement import View, differences
 from styl3r_cli.tradeoff.plots import pareto
 from styl3r_cli.tradeoff.points import GIVEN, Dials, Point
@@ -162,93 +162,13 @@ def test_a_report_is_whole_and_needs_nothing_else(
 
 
 @pytest.mark.parametrize(
-    ("damaged", "data"),
-    [
-        ("measured.jsonl", b'{"point": 3}\n'),
-        ("measured.jsonl", b"[]\n"),
-        ("measured.jsonl", b'{"point": "x", "repeat": 0, "result": {"seconds": {}}}\n'),
-        ("*.npz", b"x"),
-        ("*.npz", b"PK\x03\x04"),
-    ],
-)
-def test_what_was_measured_and_then_damaged_is_measured_anew(
-    measure: Run,
-    here: list[dict[str, Any]],
-    photos: list[Path],
-    tmp_path: Path,
-    damaged: str,
-    data: bytes,
-) -> None:
-    plain = ("-o", tmp_path / "r", "--precisions", "fp32", "--sizes", "48", "--views", "2")
-    plain = (*plain, "--budgets", "100", "--drawings", "exact", "--fov", 60, "--colours", "plain")
-    assert measure(*photos, *plain, "--repeats", 1)[0] == 0
-    before = len(here)
-    for path in (tmp_path / "r" / "work").glob(damaged):
-        path.write_bytes(data if damaged.startswith("*") else path.read_bytes() + data)
-    code, _, err = measure(*photos, *plain, "--repeats", 1)
-    assert (code, "a bug" in err) == (0, False)
-    assert len(here) == 2 * before
-
-
-@pytest.mark.parametrize("name", ["manifest.json", "structure.onnx"])
-def test_a_precision_that_was_made_and_then_damaged_is_made_anew(
-    measure: Run, here: list[dict[str, Any]], photos: list[Path], tmp_path: Path, name: str
-) -> None:
-    pytest.importorskip("onnx_ir")
-    plain = ("-o", tmp_path / "r", "--precisions", "w8", "--sizes", "48", "--views", "2")
-    plain = (*plain, "--budgets", "100", "--drawings", "exact", "--fov", 60, "--colours", "plain")
-    assert measure(*photos, *plain, "--repeats", 1)[0] == 0
-    made = tmp_path / "r" / "work" / "w8" / name
-    whole = made.read_bytes()
-    made.write_bytes(whole[:5])
-    assert measure(*photos, *plain, "--repeats", 1)[0] == 0
-    assert made.read_bytes() == whole
-
-
-def test_interrupted_runs_go_on_and_other_inputs_start_anew(
-    measure: Run,
-    here: list[dict[str, Any]],
-    photos: list[Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    plain = ("-o", tmp_path / "r", "--precisions", "fp32", "--sizes", "64,48", "--views", "3")
-    plain = (*plain, "--budgets", "100", "--drawings", "exact", "--fov", 60)
-    plain = (*plain, "--colours", "fitted")
-    measured, whole = bench.work, 4
-
-    def interrupt(job: dict[str, Any]) -> dict[str, Any]:
-        if len(here) == whole - 1:
-            raise KeyboardInterrupt
-        return measured(job)
-
-    monkeypatch.setattr(bench, "work", interrupt)
-    code, out, err = measure(*photos, *plain, "--repeats", 2)
-    assert code == 130
-    assert "interrupted; the same command goes on" in err
-    assert len(out.decode().splitlines()) >= 3
-    report = json.loads((tmp_path / "r" / "tradeoff.json").read_text())
-    assert [point["repeats"] for point in report["points"]] == [2, 1]
-
-    journal = tmp_path / "r" / "work" / bench.JOURNAL
-    journal.write_text(journal.read_text() + '{"point": "cut sh')  # as a power cut leaves it
-    monkeypatch.setattr(bench, "work", measured)
-    assert measure(*photos, *plain, "--repeats", 2)[0] == 0
-    assert len(here) == whole
-    report = json.loads((tmp_path / "r" / "tradeoff.json").read_text())
-    assert [point["repeats"] for point in report["points"]] == [2, 2]
-
-    assert measure(*photos[::-1], *plain, "--repeats", 1)[0] == 0
-    assert len(here) == whole + 2
-
-
-@pytest.mark.parametrize(
     ("given", "told", "expected"),
     [
         (("--sizes", "100"), "multiples of 16", 2),
         (("--views", "4"), "there are 3 photos", 2),
         (("--style", "none.png"), "no such style picture", 3),
         (("--precisions", "int7"), "int7", 2),
+        (("--fov", "nan"), "--fov nan", 2),
     ],
 )
 def test_what_cannot_be_measured_is_refused(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -126,6 +129,28 @@ def test_one_frame_is_a_video(tmp_path: Path):
     assert write_video(path, make_frames(1, 16, 16), 30) == 1
     with av.open(str(path)) as container:
         assert len(list(container.decode(video=0))) == 1
+
+
+PANNING = """
+import sys
+from pathlib import Path
+import numpy as np
+from styl3r_cli.video import write_video
+wall = np.random.default_rng(0).integers(0, 256, (10, 30, 3), np.uint8).repeat(8, 0).repeat(8, 1)
+write_video(Path(sys.argv[1]), [wall[:, 3 * i : 144 + 3 * i] for i in range(8)], 24, sys.argv[2])
+"""
+
+
+@pytest.mark.parametrize("kind", ["mp4", "webm", "webp"])
+def test_same_frames_same_bytes(tmp_path: Path, kind: str):
+    """Whatever memory held before (glibc fills it with the complement of MALLOC_PERTURB_)."""
+    written = set()
+    for filling in ("0", "1", "85", "170"):
+        path = tmp_path / f"{filling}.{kind}"
+        environment = os.environ | {"MALLOC_PERTURB_": filling}
+        subprocess.run([sys.executable, "-c", PANNING, path, kind], env=environment, check=True)
+        written.add(path.read_bytes())
+    assert len(written) == 1
 
 
 def test_a_failure_leaves_the_old_file(tmp_path: Path):

@@ -129,7 +129,7 @@ def test_kinds_of_numbers_kept_at_once(tmp_path: Path):
         assert start(kind).communicate(timeout=100)[0].split() == [right[kind], "1"]
 
 
-@pytest.mark.parametrize("damage", ["none", "cut", "garbage", "read-only"])
+@pytest.mark.parametrize("damage", ["none", "cut", "garbage", "bit", "read-only"])
 def test_a_bad_cache_is_no_obstacle(tmp_path: Path, damage: str):
     """A child draws with a cache that was damaged, or cannot be written, since the last run."""
     (tmp_path / "kernels.py").write_text(
@@ -147,8 +147,14 @@ def test_a_bad_cache_is_no_obstacle(tmp_path: Path, damage: str):
         printed.append(done.stdout.split())
         for file in tmp_path.glob("__pycache__/*.nb?"):
             data = file.read_bytes()
-            if damage in ("cut", "garbage"):
-                file.write_bytes(data[: len(data) // 2] if damage == "cut" else b"?" * len(data))
+            middle = len(data) // 2
+            if damage == "cut":
+                file.write_bytes(data[:middle])
+            elif damage == "garbage":
+                file.write_bytes(b"?" * len(data))
+            elif damage == "bit":  # of the machine code, whose first section follows ELF's head
+                place = data.index(b"\x7fELF") + 64 if b"\x7fELF" in data else middle
+                file.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
     assert [numbers[0] for numbers in printed] == ["42", "42"]
     assert (printed[1][1] == "1") == (damage == "none")
 
