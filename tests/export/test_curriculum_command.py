@@ -138,6 +138,46 @@ def test_another_size_takes_the_matches_of_its_start_and_leaves_them(
     assert all(torch.equal(mini["training"][n], small["training"][n]) for n in matching)
 
 
+@pytest.mark.parametrize(
+    ("frozen", "moves"),
+    [((), ("backbone.stem.", "matching.flow.")), (("--frozen",), ("matching.flow.",))],
+)
+def test_matches_train_without_what_decodes_them(
+    monkeypatch: pytest.MonkeyPatch,
+    shards: dict[str, Path],
+    tmp_path: Path,
+    frozen: tuple[str, ...],
+    moves: tuple[str, ...],
+) -> None:
+    words = ("matches", *frozen, "--data", shards["data"], "--batch", 1, "--out", tmp_path)
+    train(monkeypatch, *words, "--steps", 0)
+    before = load_checkpoint(tmp_path / "last.pt")["training"]
+    train(monkeypatch, *words, "--steps", 2)
+    after = load_checkpoint(tmp_path / "last.pt")["training"]
+    moved = {name for name in before if not torch.equal(before[name], after[name])}
+    assert all(name.startswith(moves) for name in moved)
+    for part in moves:
+        assert any(name.startswith(part) for name in moved), part
+
+
+def test_steadying_learns_from_its_start_and_leaves_the_codes_of_styles(
+    monkeypatch: pytest.MonkeyPatch, shards: dict[str, Path], pictures: Path, tmp_path: Path
+) -> None:
+    words = (
+        *("--data", shards["data"], "--styles", pictures, "--photos", pictures),
+        *("--perceptual", "none", "--batch", 1, "--size", SIZE),
+    )
+    train(monkeypatch, "style", *words, "--out", tmp_path / "start", "--steps", 1)
+    start = tmp_path / "start" / "last.pt"
+    steady = ("steady", *words, "--start", start, "--out", tmp_path / "steady")
+    train(monkeypatch, *steady, "--steps", 1)
+    train(monkeypatch, *steady, "--steps", 3)  # goes on, and still learns from its start
+    before, after = (load_checkpoint(p)["model"] for p in (start, tmp_path / "steady" / "last.pt"))
+    moved = {name for name in before if not torch.equal(before[name], after[name])}
+    assert {name.split(".")[1] for name in moved} == {"content_encoder", "decoder"}
+    assert all(name.startswith("strokes.") for name in moved)
+
+
 @pytest.mark.slow
 def test_videos_train_the_whole_network(
     monkeypatch: pytest.MonkeyPatch, videos: Path, tmp_path: Path
@@ -175,6 +215,7 @@ def test_styles_are_learnt_on_videos_too(
         (("novel-views", "--data", "x"), "--perceptual"),
         (("photometric", "--perceptual", "x"), "--re10k or --dl3dv"),
         (("style", "--perceptual", "x", "--data", "x"), "--styles and --photos"),
+        (("steady", "--styles", "x", "--photos", "x", "--data", "x"), "--start"),
         (
             ("photometric", "--perceptual", "x", "--re10k", "x", "--frozen"),
             "geometry and novel-views",

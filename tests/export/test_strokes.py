@@ -11,7 +11,7 @@ from shared_reference import reference_folder
 from torch import Tensor
 
 from styl3r_export.curriculum.teachers import load_npz
-from styl3r_export.model.strokes import Code, Strokes, ownness, weighted_mean
+from styl3r_export.model.strokes import Code, Enlarge, Strokes, ownness, weighted_mean
 
 
 def microast() -> Path:
@@ -39,6 +39,29 @@ def test_one_view_in_one_style_is_the_published_picture() -> None:
     drawn = network.decoder(content, code, 1)
     # The published deviation divides by one place fewer.
     assert np.abs(drawn.numpy() - check["stylized"]).max() < 1e-3
+
+
+def test_smooth_enlarging_repeats_a_seventh_of_what_bilinear_does() -> None:
+    wave = torch.sin(torch.arange(32) * torch.pi / 2).expand(1, 1, 32, 32)
+
+    def repeated(smooth: bool) -> float:
+        """A wave of 8 pixels in the larger map, and its repetition of 8/3."""
+        row = Enlarge(smooth)(wave)[0, 0, 32, 8:-8]
+        spectrum = torch.fft.rfft(row - row.mean()).abs()
+        return float(spectrum[18] / spectrum[6])
+
+    assert repeated(False) > 0.05
+    assert repeated(True) == pytest.approx(repeated(False) * np.tan(np.pi / 8) ** 2, rel=1e-3)
+
+
+def test_smooth_enlarging_keeps_what_is_even_and_the_middle() -> None:
+    torch.testing.assert_close(Enlarge(True)(torch.ones(1, 2, 4, 6)), torch.ones(1, 2, 8, 12))
+    dot = torch.zeros(1, 1, 9, 9)
+    dot[..., 4, 4] = 1
+    large = Enlarge(True)(dot)
+    torch.testing.assert_close(large, large.flip(-1))
+    torch.testing.assert_close(large, large.flip(-2))
+    assert float(large.sum()) == pytest.approx(4, rel=1e-5)
 
 
 @torch.no_grad()

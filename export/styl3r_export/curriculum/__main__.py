@@ -24,29 +24,43 @@ from styl3r_export.curriculum.novel_views import NovelViewStep
 from styl3r_export.curriculum.perceptual import load_perceptual
 from styl3r_export.curriculum.photometric import PhotometricStep
 from styl3r_export.curriculum.pictures import PictureBank, flat_batches, training_pictures
+from styl3r_export.curriculum.steadying import SteadyStep
 from styl3r_export.curriculum.stylization import StyleStep, Teacher, style_batches
 from styl3r_export.curriculum.teachers import initialise_flow, initialise_strokes
-from styl3r_export.curriculum.trainer import Schedule, Step, Trainer
+from styl3r_export.curriculum.trainer import Schedule, Step, Trainer, load_fitting, load_start
 from styl3r_export.curriculum.validation import Validation
 from styl3r_export.initialise import initialise_from_mast3r
+from styl3r_export.model import ModelConfig, Styl3r, build
 from styl3r_export.model.config import CONFIGS
 
 # Added to the seed of the scenes that validate, so that they are drawn by other numbers.
 VALIDATION_SEED = 1_000_003
 
 TRAINS = {
+    "matches": stages.matches_train,
     "geometry": stages.geometry_trains,
     "novel-views": stages.novel_views_train,
     "photometric": stages.used,
     "style": stages.appearance_trains,
+    "steady": stages.drawing_trains,
 }
-FROZEN = {"geometry": stages.decoders_train, "novel-views": stages.attributes_train}
+FROZEN = {
+    "matches": stages.flow_trains,
+    "geometry": stages.decoders_train,
+    "novel-views": stages.attributes_train,
+}
 NEEDS = {
+    "matches": (),
     "geometry": (),
     "novel-views": ("perceptual",),
     "photometric": ("perceptual",),
     "style": ("perceptual", "styles", "photos"),
+    "steady": ("start", "styles", "photos"),
 }
+# Stages whose losses need no other network.
+OWN_LOSSES = {"matches": stages.matches_step, "geometry": stages.geometry_step}
+# Stages that take paintings, and photographs as flat scenes.
+PAINTING = ("style", "steady")
 
 
 def parse() -> argparse.Namespace:
@@ -85,7 +99,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--frozen",
         action="store_true",
-        help="geometry: leave matches as they are; novel views: depths and cameras too",
+        help="matches: leave the maps that decoders read too; geometry: leave matches as they are; "
+        "novel views: depths and cameras too",
     )
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--seconds", type=float, default=math.inf, help="stop after this time")
@@ -100,7 +115,7 @@ def parse() -> argparse.Namespace:
     if args.stage == "photometric":
         if not (args.re10k or args.dl3dv):
             missing.append("--re10k or --dl3dv")
-    elif args.stage in ("geometry", "novel-views") or not (args.re10k or args.dl3dv):
+    elif args.stage not in PAINTING or not (args.re10k or args.dl3dv):
         missing += ["--data"] * (args.data is None)
     if missing:
         parser.error(f"the {args.stage} stage needs {' and '.join(missing)}")
@@ -154,8 +169,10 @@ def held_out(args: argparse.Namespace) -> dict[str, Any]:
 
 def make_step(args: argparse.Namespace) -> Step:
     """The stage's losses."""
-    if args.stage == "geometry":
-        return stages.geometry_step
+    if args.stage in OWN_LOSSES:
+        return OWN_LOSSES[args.stage]
+    if args.stage == "steady":
+        return SteadyStep(start_of(args.start).strokes, args.seed)
     perceptual = load_perceptual(args.perceptual)
     if args.stage == "novel-views":
         return NovelViewStep(perceptual, geometry_too=not args.frozen, seed=args.seed)
@@ -164,13 +181,21 @@ def make_step(args: argparse.Namespace) -> Step:
     return StyleStep(perceptual, Teacher(args.teacher, args.threads) if args.teacher else None)
 
 
+def start_of(source: Path) -> Styl3r:
+    """The network that training starts from, once more."""
+    state = load_start(source)
+    model = build(ModelConfig.from_dict(state["config"]))
+    load_fitting(model, state["model"])
+    return model
+
+
 def make_batches(args: argparse.Namespace, seed: int, first_step: int) -> Iterator[Any]:
     """What the stage trains on."""
     if args.stage == "photometric":
         return video_scenes(args, seed, first_step)
     # Not ahead in a thread: batches take a hundredth of a step, and torch's threads of two
     # callers wait for each other, which made steps a third slower.
-    if args.stage != "style":
+    if args.stage not in PAINTING:
         views = (3,) if args.stage == "novel-views" else tuple(args.views)
         return data.batches(args.data, seed, args.batch, views)
     if args.data:
@@ -186,6 +211,8 @@ def make_batches(args: argparse.Namespace, seed: int, first_step: int) -> Iterat
     )
     photos = PictureBank(training_pictures(args.photos), side * 3 // 2)
     flat = flat_batches(photos, seed, args.batch, args.size)
+    if args.stage == "steady":
+        return style_batches(scenes, flat, paintings, seed, identity=0, mixed=0)
     return style_batches(scenes, flat, paintings, seed)
 
 

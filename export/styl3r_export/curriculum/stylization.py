@@ -159,16 +159,17 @@ def correspondences(
 
 
 def style_batches(
-    scenes: Iterator[Batch], flat: Iterator[Batch], styles: Paintings, seed: int
-) -> Iterator[StyleBatch]:
+    scenes: Iterator[Batch], flat: Iterator[Batch], styles: Paintings, seed: int,
+    *, identity: float = IDENTITY_SHARE, mixed: float = MIXED_SHARE,
+) -> Iterator[StyleBatch]:  # fmt: skip
     """Generated scenes and flat photographs in turn, each scene with a painting of its own."""
     rng = np.random.default_rng(seed)
     for source in iter(lambda: scenes if rng.random() < 0.5 else flat, None):
         batch = next(source)
         paintings = styles.crops(rng, len(batch.images), batch.images.shape[-1])
         draw, strength = rng.random(), 1.0
-        if draw < IDENTITY_SHARE:
+        if draw < identity:
             strength = 0.0
-        elif draw < IDENTITY_SHARE + MIXED_SHARE:
+        elif draw < identity + mixed:
             strength = float(rng.uniform(0.1, 0.9))
         yield StyleBatch(batch, paintings, strength)

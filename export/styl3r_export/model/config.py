@@ -53,6 +53,9 @@ class ModelConfig:
     # "strokes": local convolutions in a style's statistics draw the photos anew, which learn from
     # pictures alone and carry brush strokes that 16 px tokens lose.
     colours: Literal["tokens", "strokes"] = "tokens"
+    # Whether maps of strokes are blurred as they are enlarged: without it (published) strokes hang
+    # on the grid of the maps, and a picture moved by a pixel is drawn otherwise.
+    smooth_strokes: bool = False
     # Range of a content photo that stands in for a style; paintings are always in [0, 1]
     # (spec section 7: the published network reads the two differently).
     photo_as_style: Literal["signed", "unit"] = "signed"
@@ -95,6 +98,7 @@ MINI = ModelConfig(
     stem="pyramid",
     points="rays",
     colours="strokes",
+    smooth_strokes=True,
     photo_as_style="unit",
 )
 

@@ -111,7 +111,7 @@ class Styl3r(nn.Module):
                 GaussianTrunk(config, STRUCTURE_CHANNELS, with_image=True)
             )
         if config.colours == "strokes":
-            self.strokes = Strokes()
+            self.strokes = Strokes(config.smooth_strokes)
         else:
             self.token_stylizer = TokenStylizer(config)
             self.gaussian_appearance_head = Head(GaussianTrunk(config, 3, with_image=False))
