@@ -67,7 +67,7 @@ def geometry_step(model: Styl3r, batch: Batch) -> dict[str, Tensor]:
 
 
 def matches_step(model: Styl3r, batch: Batch) -> dict[str, Tensor]:
-    """The geometry stage's losses of the matches alone, at a third of its cost."""
+    """The geometry stage's losses of the matches alone: nothing decodes them."""
     pictures = to_network(batch.images)
     maps = model.backbone.stem(pictures.flatten(0, 1)).eighth.unflatten(0, pictures.shape[:2])
     flows = model.matching.both_flows(maps, pictures)
