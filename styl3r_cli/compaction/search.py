@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -166,7 +167,10 @@ class Compactor:
         return attempt(self.known, merged, colours, targets, steps, self.threads)
 
     def _reshaped(self, made: Attempt, targets: Sequence[Target], enough: float) -> Attempt:
-        """The attempt with its shapes fitted, until that is good enough or no longer helps."""
+        """The attempt with its shapes fitted, until that is good enough or no longer helps.
+
+        What the witnesses see of it is let go of: it takes more memory than all the rest.
+        """
         for _ in range(self.reshapes):
             if made.worst >= enough:
                 break
@@ -174,7 +178,7 @@ class Compactor:
             if better.worst <= made.worst:
                 break
             made = better
-        return made
+        return replace(made, traces=[])
 
     def _first(self, tree: Tree, count: int) -> Merged:
         """A cut as the tree has it: all colours begin with the same one."""

@@ -131,10 +131,12 @@ def _stored(gaussians: Gaussians) -> NDArray[np.float32]:
 def _require_gaussians(table: Table, name: str) -> None:
     missing = [wanted for wanted in REQUIRED if wanted not in table.names]
     if missing:
-        points = set(MEANS) <= set(table.names)
-        kind = "a point cloud or mesh" if points else "a PLY of something else"
+        kind = ""  # other Gaussians, such as flat ones, which have two scales
+        if "opacity" in missing:
+            points = set(MEANS) <= set(table.names)
+            kind = "a point cloud or mesh, " if points else "a PLY of something else, "
         lacks = ", ".join(missing)
-        raise InputError(f"{name}: {kind}, not 3D Gaussians: it has no {lacks}")
+        raise InputError(f"{name}: {kind}not 3D Gaussians: it has no {lacks}")
 
 
 def _columns(table: Table, names: tuple[str, ...]) -> NDArray[np.float64]:

@@ -15,23 +15,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import (  # the plugins register their formats on import
-    AvifImagePlugin,  # noqa: F401
-    BmpImagePlugin,  # noqa: F401
-    GifImagePlugin,  # noqa: F401
-    Image,
-    ImageCms,
-    JpegImagePlugin,  # noqa: F401
-    PngImagePlugin,  # noqa: F401
-    PpmImagePlugin,  # noqa: F401
-    TiffImagePlugin,  # noqa: F401
-    UnidentifiedImageError,
-    WebPImagePlugin,  # noqa: F401
-)
+from PIL import Image, ImageCms
 
 from styl3r_cli import memory
 from styl3r_cli.errors import InputError, shortened
 from styl3r_cli.files import read_file
+from styl3r_cli.photos.decoders import identified
 from styl3r_cli.photos.focal import read_equivalent_focal
 
 # A 200-megapixel phone photo passes; more is a scan too large for this, or a decompression bomb.
@@ -39,9 +28,6 @@ MAX_PIXELS = 220_000_000
 # Photos have at most ten pixels a byte, flat drawings some dozens. What claims more, and would take
 # much memory, is a decompression bomb.
 BELIEVED_PIXELS, MOST_PIXELS_A_BYTE = 32_000_000, 100
-# Formats that hold photos; Pillow's others include ones that start external programs (EPS).
-# HEIF is there once pillow-heif has registered it, AVIF where Pillow was built with it.
-FORMATS = ["JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "AVIF", "HEIF"]
 HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
 RAW_SUFFIXES = {".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"}
 WHITE = (255, 255, 255)  # what transparent pixels are put on: paper, as picture viewers print them
@@ -116,7 +102,7 @@ def opened_picture(path: Path) -> Iterator[Image.Image]:
     with failures_named(path):
         data = read_file(path)
         _refuse_by_content(path, data)
-        with Image.open(io.BytesIO(data), formats=_formats()) as opened:
+        with identified(path, data) as opened:
             _refuse_bombs(path, opened.width * opened.height, len(data))
             opened.load()
             yield opened
@@ -130,9 +116,6 @@ def failures_named(path: Path) -> Iterator[None]:
     warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
     try:
         yield
-    except UnidentifiedImageError as error:
-        message = "not a picture that can be read (JPEG, PNG, WebP, TIFF)"
-        raise InputError(f"{path}: {message}") from error
     except Image.DecompressionBombError as error:
         message = f"larger than {MAX_PIXELS // 10**6} megapixels; scale it down first"
         raise InputError(f"{path}: {message}") from error
@@ -143,10 +126,6 @@ def failures_named(path: Path) -> Iterator[None]:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from error
         message = shortened(" ".join(str(error).split()))
         raise InputError(f"{path}: damaged or unsupported picture: {message}") from error
-
-
-def _formats() -> list[str]:
-    return [name for name in FORMATS if name in Image.OPEN]
 
 
 def _refuse_by_content(path: Path, data: bytes) -> None:

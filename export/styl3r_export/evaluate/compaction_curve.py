@@ -25,6 +25,7 @@ import numpy as np
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.stored import cameras_from_metadata
 from styl3r_cli.compaction import in_between, keep_count, witnesses
+from styl3r_cli.errors import InputError, Styl3rError, UsageError
 from styl3r_cli.formats import read_scene, write_scene
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting import render
@@ -93,7 +94,10 @@ def splat_transform(program: str) -> Method:
             source, target = Path(folder, "in.ply"), Path(folder, "out.ply")
             write_scene(source, scene)
             command = [program, "-q", "--gpu", "cpu", str(source), "--decimate", str(count)]
-            subprocess.run([*command, str(target)], check=True, capture_output=True)
+            try:
+                subprocess.run([*command, str(target)], check=True, capture_output=True)
+            except (OSError, subprocess.CalledProcessError) as error:
+                raise UsageError(f"--splat-transform: {error}") from error
             return read_scene(target).gaussians
 
     return decimate
@@ -162,7 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the curve of every scene and method as CSV, and the medians."""
     parser = argparse.ArgumentParser(description="PSNR against the share of Gaussians kept")
     parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--shares", nargs="+", type=float, default=SHARES)
+    parser.add_argument("--shares", nargs="+", type=_share, default=SHARES)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--splat-transform", metavar="PROGRAM", help="also its --decimate")
     options = parser.parse_args(arguments)
@@ -171,11 +175,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
         methods["splat-transform"] = splat_transform(options.splat_transform)
     print(HEADER)
     rows = []
-    for path in options.scenes:
-        for row in _curve(path, methods, options.shares):
-            print(row.csv(), flush=True)
-            rows.append(row)
+    try:
+        for path in options.scenes:
+            for row in _curve(path, methods, options.shares):
+                print(row.csv(), flush=True)
+                rows.append(row)
+    except Styl3rError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
     print(medians(rows), file=sys.stderr)
+
+
+def _share(text: str) -> float:
+    share = float(text)
+    if not 0 < share <= 1:
+        raise argparse.ArgumentTypeError(f"{text} is no share: above 0, 1 at most")
+    return share
 
 
 def medians(rows: Sequence[Row]) -> str:
@@ -203,7 +218,7 @@ def _curve(path: Path, methods: dict[str, Method], shares: Sequence[float]) -> I
     stored = read_scene(path)
     scene, views = stored.gaussians, cameras_from_metadata(stored.metadata)
     if len(views) < 2:
-        sys.exit(f"{path}: it has {len(views)} cameras; the curve needs at least two")
+        raise InputError(f"{path}: it has {len(views)} cameras; the curve needs at least two")
     cameras, unseen = witnesses(views, scene), in_between(views, (0.25, 0.75))
     whole = frames(scene, [*cameras, *unseen])
     for share in shares:

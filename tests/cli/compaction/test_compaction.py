@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 from layered_scene import STRIPED_UP_TO, joined, views
@@ -15,6 +17,7 @@ from styl3r_cli.compaction import (
     keep_decibels,
     witnesses,
 )
+from styl3r_cli.compaction import attempts as attempting
 from styl3r_cli.compaction import survey as surveying
 from styl3r_cli.fitting.tracing import Trace, look
 from styl3r_cli.gaussians import Gaussians
@@ -166,3 +169,20 @@ def test_a_camera_that_sees_nothing_keeps_nothing_amiss(scene: Gaussians) -> Non
     blind = Camera(turned, away.fx, away.fy, away.cx, away.cy, away.width, away.height)
     made = keep_decibels(scene, [blind], 45.0)
     assert len(made.gaussians) <= len(scene)
+
+
+def test_attempts_that_failed_take_no_memory_for_what_was_seen_of_them(
+    scene: Gaussians, cameras: list[Camera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Traces are most of what a compaction takes: gigabytes of a scene of many faint layers."""
+    alive: list[int] = []
+
+    def counted(*arguments: object) -> list[Trace]:
+        alive.append(sum(isinstance(each, Trace) for each in gc.get_objects()) // len(cameras))
+        return look(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(attempting, "look", counted)
+    keep_decibels(scene, cameras, 40.0)
+    assert len(alive) > 6  # several failed
+    # The survey's, the first attempt's in two colourings, and those of what is changed.
+    assert max(alive) <= 5

@@ -179,6 +179,8 @@ def ascii_rows(count: int, rows: bytes) -> bytes:
 
 
 LITTLE = "format binary_little_endian 1.0"
+# Flat Gaussians (Huang et al. 2024) have two scales.
+FLAT = [name for name in LAYOUT.split() if name != "scale_2"]
 
 
 @pytest.mark.parametrize(
@@ -202,6 +204,10 @@ LITTLE = "format binary_little_endian 1.0"
         (
             header(LITTLE, "element vertex 0", *[f"property float {n}" for n in "xyz"]),
             "a point cloud or mesh, not 3D Gaussians: it has no f_dc_0",
+        ),
+        (
+            header(LITTLE, "element vertex 0", *[f"property float {n}" for n in FLAT]),
+            "(?<!, )not 3D Gaussians: it has no scale_2",
         ),
         (
             header(LITTLE, "element vertex 0", "property uint packed_position"),

@@ -235,6 +235,19 @@ def test_float_and_32_bit_pictures_are_refused_with_advice(tmp_path: Path) -> No
             decode(tmp_path / name)
 
 
+def test_pictures_of_an_unknown_kind_are_not_called_no_pictures(tmp_path: Path) -> None:
+    """Half floats, as painting programs export them: Pillow knows no mode for these."""
+    Image.fromarray(np.ones((8, 8), np.float32)).save(tmp_path / "half.tif")
+    data = (tmp_path / "half.tif").read_bytes()
+    bits = struct.pack("<HHIHH", 258, 3, 1, 32, 0)  # BitsPerSample
+    assert bits in data
+    (tmp_path / "half.tif").write_bytes(data.replace(bits, struct.pack("<HHIHH", 258, 3, 1, 16, 0)))
+    (tmp_path / "cut.heic").write_bytes(b"\x00\x00\x00\x18ftypheic" + bytes(50))
+    for name, kind in (("half.tif", "TIFF"), ("cut.heic", "HEIF")):
+        with pytest.raises(InputError, match=f": {kind}, but damaged or .* 8 or 16 bits"):
+            decode(tmp_path / name)
+
+
 def test_16_bit_greymaps_have_a_white_of_their_own(tmp_path: Path) -> None:
     values = np.array([[0, 500, 1000]], ">u2")
     (tmp_path / "a.pgm").write_bytes(b"P5 3 1 1000\n" + values.tobytes())
