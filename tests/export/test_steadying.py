@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from copy import deepcopy
 
+import pytest
 import torch
+from blurred_scales import Blur
 from torch import Tensor, nn
 
 from styl3r_cli.graphs import BUNDLED
@@ -47,6 +49,18 @@ def test_the_mean_of_shifts_has_no_weave() -> None:
         mean = SteadyStep(woven, seed).mean_of_shifts(images, None)  # type: ignore[arg-type]
         flat = (woven.rows.mean(dim=1) + woven.columns.mean(dim=1))[:, None, None]
         torch.testing.assert_close(mean, images + flat)
+
+
+def test_strokes_that_cancel_between_views_do_not_count_as_texture() -> None:
+    """A painting of flecks: views that agree on them are like it, views that differ are not."""
+    given, step = batch(), SteadyStep(Woven(), 0, Blur())  # type: ignore[arg-type]
+    given = given._replace(styles=torch.rand(1, 3, SIDE, SIDE).round())
+    flecks = torch.rand(1, 1, 3, SIDE, SIDE).round()
+    agreeing, differing = flecks.expand(-1, 2, -1, -1, -1), torch.cat((flecks, 1 - flecks), dim=1)
+    near, far = (float(step.style(drawn, given)) for drawn in (agreeing, differing))
+    assert near < 0.01 < 0.1 < far
+    soft = torch.full_like(agreeing, 0.5)
+    assert far == pytest.approx(float(step.style(soft, given)))
 
 
 def test_a_painter_comes_nearer_to_the_mean_over_all_sixteen_shifts() -> None:

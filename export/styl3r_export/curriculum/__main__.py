@@ -172,7 +172,8 @@ def make_step(args: argparse.Namespace) -> Step:
     if args.stage in OWN_LOSSES:
         return OWN_LOSSES[args.stage]
     if args.stage == "steady":
-        return SteadyStep(start_of(args.start).strokes, args.seed)
+        perceptual = load_perceptual(args.perceptual) if args.perceptual else None
+        return SteadyStep(start_of(args.start).strokes, args.seed, perceptual)
     perceptual = load_perceptual(args.perceptual)
     if args.stage == "novel-views":
         return NovelViewStep(perceptual, geometry_too=not args.frozen, seed=args.seed)

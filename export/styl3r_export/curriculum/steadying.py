@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
-from styl3r_export.curriculum.stylization import StyleBatch, view_agreement
+from styl3r_export.curriculum.perceptual import style_distance
+from styl3r_export.curriculum.stylization import (
+    StyleBatch,
+    features_size,
+    laid_over,
+    view_agreement,
+)
 from styl3r_export.model import Styl3r
 from styl3r_export.model.strokes import Code, Strokes
 
@@ -18,6 +24,7 @@ GRID = 4
 WEIGHTS = {
     "steady": 20.0,  # mean absolute difference to the mean of the shifted pictures
     "agreement": 2.0,  # mean absolute difference of one place's colours between views
+    "style": 6.0,  # of the views laid over each other, relative to the painting's own statistics
 }
 
 
@@ -29,11 +36,16 @@ class SteadyStep:
     MicroAST on real photos), and flat areas carry the grid as a weave. The mean over all shifts of
     the grid has neither (cycle spinning: Coifman and Donoho, 1995), but takes sixteen times as
     long. Here the painter learns to draw it at once, best where its maps are enlarged smoothly.
+
+    The mean is softer than the painting. With a perceptual network, what views' strokes become
+    where they lie over each other is to have the painting's statistics as well: texture comes back
+    as strokes that agree between views, for others cancel.
     """
 
-    def __init__(self, before: Strokes, seed: int) -> None:
+    def __init__(self, before: Strokes, seed: int, perceptual: nn.Module | None = None) -> None:
         """Learn from `before`, which stays as it is; the seed is of the shifts that are drawn."""
         self.before = before.eval().requires_grad_(False)
+        self.perceptual = perceptual
         self.rng = np.random.default_rng(seed)
 
     def __call__(self, model: Styl3r, batch: StyleBatch) -> dict[str, Tensor]:
@@ -52,7 +64,17 @@ class SteadyStep:
             "steady": (drawn - target).abs().mean(),
             "agreement": view_agreement(drawn, batch.scenes),
         }
+        if self.perceptual is not None:
+            losses["style"] = self.style(drawn, batch)
         return {name: WEIGHTS[name] * value for name, value in losses.items()}
+
+    def style(self, drawn: Float[Tensor, "batch views 3 H W"], batch: StyleBatch) -> Tensor:
+        """How far the views, laid over each other, are from the painting's own statistics."""
+        assert self.perceptual is not None
+        seen = self.perceptual(laid_over(drawn, batch.scenes).clamp(0, 1))
+        with torch.no_grad():
+            painting = self.perceptual(batch.styles)
+        return style_distance(seen, painting) / features_size(painting)
 
     def mean_of_shifts(
         self, images: Float[Tensor, "batch views 3 H W"], code: Code

@@ -111,10 +111,15 @@ class StyleStep:
                 painting = [f.float() for f in self.perceptual(batch.styles)]
             views = images.shape[1]
             painting = [f.repeat_interleave(views, dim=0) for f in painting]
-            size = sum(f.square().mean() for f in painting) + STATISTICS_EPS
+            size = features_size(painting)
             losses["style"] = style_distance(drawn, painting) / size
             losses["content"] = content_distance(drawn, photo) / size
         return losses
+
+
+def features_size(features: list[Tensor]) -> Tensor:
+    """What distances of features are divided by, so that no perceptual network weighs more."""
+    return torch.stack([f.square().mean() for f in features]).sum() + STATISTICS_EPS
 
 
 def stylise(
@@ -127,11 +132,28 @@ def stylise(
 
 def view_agreement(colours: Float[Tensor, "batch views 3 H W"], scenes: Batch) -> Tensor:
     """Mean absolute difference of the first view's colours to what each other view gives them."""
-    grid, seen = correspondences(scenes)
-    others = colours[:, 1:].flatten(0, 1)
-    sampled = F.grid_sample(others, grid.flatten(0, 1), align_corners=False)
-    difference = (sampled.unflatten(0, seen.shape[:2]) - colours[:, :1]).abs().mean(dim=2)
+    others, seen = seen_by_others(colours, scenes)
+    difference = (others - colours[:, :1]).abs().mean(dim=2, keepdim=True)
     return (difference * seen).sum() / seen.sum().clamp_min(1)
+
+
+def laid_over(
+    colours: Float[Tensor, "batch views 3 H W"], scenes: Batch
+) -> Float[Tensor, "batch 3 H W"]:
+    """The first view with every place in the mean of its colours in all views that see it."""
+    others, seen = seen_by_others(colours, scenes)
+    return (colours[:, 0] + (others * seen).sum(dim=1)) / (1 + seen.sum(dim=1))
+
+
+def seen_by_others(
+    colours: Float[Tensor, "batch views 3 H W"], scenes: Batch
+) -> tuple[Float[Tensor, "batch others 3 H W"], Bool[Tensor, "batch others 1 H W"]]:
+    """What each other view gives the first view's places, and whether it sees them."""
+    grid, seen = correspondences(scenes)
+    others = F.grid_sample(
+        colours[:, 1:].flatten(0, 1), grid.flatten(0, 1), padding_mode="border", align_corners=False
+    ).unflatten(0, seen.shape[:2])
+    return others, seen[:, :, None]
 
 
 @torch.no_grad()
