@@ -208,7 +208,7 @@ def test_styles_are_learnt_on_videos_too(
         (("novel-views", "--data", "x"), "--perceptual"),
         (("photometric", "--perceptual", "x"), "--re10k or --dl3dv"),
         (("style", "--perceptual", "x", "--data", "x"), "--styles and --photos"),
-        (("steady", "--styles", "x", "--photos", "x", "--data", "x"), "--start"),
+        (("steady", "--styles", "x", "--photos", "x", "--data", "x"), "--start and --perceptual"),
         (
             ("photometric", "--perceptual", "x", "--re10k", "x", "--frozen"),
             "geometry and novel-views",

@@ -1,4 +1,4 @@
-"""Strokes that do not hang on the grid of pixels: a painter learns the mean of its own pictures."""
+"""Strokes that do not hang on the grid of pixels: a painter learns to draw moved pictures alike."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from styl3r_export.model.strokes import Code, Strokes
 # lies on their grid as before.
 GRID = 4
 WEIGHTS = {
-    "steady": 20.0,  # mean absolute difference to the mean of the shifted pictures
+    "steady": 20.0,  # mean absolute difference to what is drawn with the grid moved
+    "taught": 8.0,  # the same to what was drawn before, with the grid moved
     "agreement": 2.0,  # mean absolute difference of one place's colours between views
-    "style": 6.0,  # of the views laid over each other, relative to the painting's own statistics
+    "style": 12.0,  # of the views laid over each other, relative to the painting's own statistics
 }
 
 
@@ -33,16 +34,17 @@ class SteadyStep:
 
     A painter's maps have a quarter of the picture's size, and their enlarging leaves marks at every
     sample: a picture that is moved by a pixel is drawn otherwise (by 0.05 of the range, rms, with
-    MicroAST on real photos), and flat areas carry the grid as a weave. The mean over all shifts of
-    the grid has neither (cycle spinning: Coifman and Donoho, 1995), but takes sixteen times as
-    long. Here the painter learns to draw it at once, best where its maps are enlarged smoothly.
+    MicroAST on real photos), and flat areas carry the grid as a weave. Here the painter learns to
+    draw a picture as it draws it when moved, which it does best where its maps are enlarged
+    smoothly; and to draw as it did before, over all places of the grid, which have no weave in
+    common (cycle spinning: Coifman and Donoho, 1995).
 
-    The mean is softer than the painting. With a perceptual network, what views' strokes become
-    where they lie over each other is to have the painting's statistics as well: texture comes back
-    as strokes that agree between views, for others cancel.
+    What they have in common is softer than the painting. So what views' strokes become where they
+    lie over each other is to have the painting's statistics: texture comes back as strokes that
+    agree between views, for others cancel.
     """
 
-    def __init__(self, before: Strokes, seed: int, perceptual: nn.Module | None = None) -> None:
+    def __init__(self, before: Strokes, seed: int, perceptual: nn.Module) -> None:
         """Learn from `before`, which stays as it is; the seed is of the shifts that are drawn."""
         self.before = before.eval().requires_grad_(False)
         self.perceptual = perceptual
@@ -58,36 +60,28 @@ class SteadyStep:
         images = batch.scenes.images
         with torch.no_grad():
             code = self.before.modulator(self.before.style_encoder(batch.styles))
-            target = self.mean_of_shifts(images, code)
+            taught = draw_moved(self.before, images, code, *self._shift(0))
         drawn = draw(model.strokes, images, code)
+        moved = draw_moved(model.strokes, images, code, *self._shift(1))
         losses = {
-            "steady": (drawn - target).abs().mean(),
+            "steady": (drawn - moved).abs().mean(),
+            "taught": (drawn - taught).abs().mean(),
             "agreement": view_agreement(drawn, batch.scenes),
+            "style": self.style(drawn, batch),
         }
-        if self.perceptual is not None:
-            losses["style"] = self.style(drawn, batch)
         return {name: WEIGHTS[name] * value for name, value in losses.items()}
+
+    def _shift(self, least: int) -> tuple[int, int]:
+        """Any of the grid's places, as columns and rows; its own is the first."""
+        row, column = divmod(int(self.rng.integers(least, GRID * GRID)), GRID)
+        return column, row
 
     def style(self, drawn: Float[Tensor, "batch views 3 H W"], batch: StyleBatch) -> Tensor:
         """How far the views, laid over each other, are from the painting's own statistics."""
-        assert self.perceptual is not None
         seen = self.perceptual(laid_over(drawn, batch.scenes).clamp(0, 1))
         with torch.no_grad():
             painting = self.perceptual(batch.styles)
         return style_distance(seen, painting) / features_size(painting)
-
-    def mean_of_shifts(
-        self, images: Float[Tensor, "batch views 3 H W"], code: Code
-    ) -> Float[Tensor, "batch views 3 H W"]:
-        """What is drawn with the grid moved, over shifts that have every row and column once."""
-        height, width = images.shape[-2:]
-        total = torch.zeros_like(images)
-        for x, y in enumerate(self.rng.permutation(GRID).tolist()):
-            around = (x, GRID - x, y, GRID - y)
-            moved = F.pad(images.flatten(0, 1), around, mode="reflect")
-            drawn = draw(self.before, moved.unflatten(0, images.shape[:2]), code)
-            total += drawn[..., y : y + height, x : x + width]
-        return total / GRID
 
 
 def draw(
@@ -96,3 +90,13 @@ def draw(
     """The views in one style a scene."""
     content = strokes.content_encoder(images.flatten(0, 1))
     return strokes.decoder(content, code, images.shape[1]).float().unflatten(0, images.shape[:2])
+
+
+def draw_moved(
+    strokes: Strokes, images: Float[Tensor, "batch views 3 H W"], code: Code, x: int, y: int
+) -> Float[Tensor, "batch views 3 H W"]:
+    """The same with the maps' grid moved by x columns and y rows, 0 to GRID - 1."""
+    height, width = images.shape[-2:]
+    around = (x, GRID - x, y, GRID - y)
+    moved = F.pad(images.flatten(0, 1), around, mode="reflect").unflatten(0, images.shape[:2])
+    return draw(strokes, moved, code)[..., y : y + height, x : x + width]
