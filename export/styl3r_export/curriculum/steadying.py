@@ -8,10 +8,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from styl3r_export.curriculum.perceptual import style_distance
+from styl3r_export.curriculum.perceptual import relative_style_distance
 from styl3r_export.curriculum.stylization import (
     StyleBatch,
-    features_size,
     laid_over,
     view_agreement,
 )
@@ -25,7 +24,7 @@ WEIGHTS = {
     "steady": 20.0,  # mean absolute difference to what is drawn with the grid moved
     "taught": 8.0,  # the same to what was drawn before, with the grid moved
     "agreement": 2.0,  # mean absolute difference of one place's colours between views
-    "style": 12.0,  # of the views laid over each other, relative to the painting's own statistics
+    "style": 6.0,  # of the views laid over each other, relative to the painting's own statistics
 }
 
 
@@ -81,7 +80,7 @@ class SteadyStep:
         seen = self.perceptual(laid_over(drawn, batch.scenes).clamp(0, 1))
         with torch.no_grad():
             painting = self.perceptual(batch.styles)
-        return style_distance(seen, painting) / features_size(painting)
+        return relative_style_distance(seen, painting)
 
 
 def draw(

@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from styl3r_cli.onnx_library import onnxruntime
 from styl3r_export.curriculum.data import Batch
 from styl3r_export.curriculum.geometry import OCCLUSION, to_world
-from styl3r_export.curriculum.perceptual import content_distance, style_distance
+from styl3r_export.curriculum.perceptual import STATISTICS_EPS, content_distance, style_distance
 from styl3r_export.model import Styl3r
 from styl3r_export.model.adapter import pixel_rays
 
@@ -26,9 +26,6 @@ WEIGHTS = {
     "identity": 70.0,  # squared difference, content photo as style (published)
     "agreement": 2.0,  # mean absolute difference of one place's colours between views
 }
-# The style distance is divided by this times the features' size, so that its weight does not
-# depend on the perceptual network.
-STATISTICS_EPS = 1e-3
 # Fraction of batches that practise reconstruction, and of those that mix style and content.
 IDENTITY_SHARE, MIXED_SHARE = 0.2, 0.15
 
@@ -111,15 +108,10 @@ class StyleStep:
                 painting = [f.float() for f in self.perceptual(batch.styles)]
             views = images.shape[1]
             painting = [f.repeat_interleave(views, dim=0) for f in painting]
-            size = features_size(painting)
+            size = sum(f.square().mean() for f in painting) + STATISTICS_EPS
             losses["style"] = style_distance(drawn, painting) / size
             losses["content"] = content_distance(drawn, photo) / size
         return losses
-
-
-def features_size(features: list[Tensor]) -> Tensor:
-    """What distances of features are divided by, so that no perceptual network weighs more."""
-    return torch.stack([f.square().mean() for f in features]).sum() + STATISTICS_EPS
 
 
 def stylise(
