@@ -24,6 +24,8 @@ COMPRESSIONS = ("zip", "zips", "piz", "rle", "none", "dwaa", "dwab")
 # unlike infinity it survives a filter that multiplies it by 0.
 EMPTY_DEPTH = 1e10
 LARGEST_HALF = 65504.0
+# Lossy compressions overshoot beside bright edges, by up to 3 %; half floats end in infinity.
+LOSSY, LARGEST_LOSSY = ("dwaa", "dwab"), 50_000.0
 # Red, green, blue and white of Rec. 709, as x and y; and the name that OpenEXR 3.4 has for them.
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 COLOUR_SPACE = "lin_rec709_scene"
@@ -73,7 +75,7 @@ def write_exr(path: Path, frame: Frame, camera: Camera, options: ExrOptions) -> 
     import OpenEXR
 
     header = _header(camera, options)
-    colour, depth = _colour_channels(frame), {"Z": _depth(frame)}
+    colour, depth = _colour_channels(frame, options), {"Z": _depth(frame)}
     if options.multi_part:
         parts = [
             OpenEXR.Part(dict(header), colour, "rgba"),
@@ -108,8 +110,9 @@ def _header(camera: Camera, options: ExrOptions) -> dict[str, Any]:
     return header
 
 
-def _colour_channels(frame: Frame) -> dict[str, NDArray[np.float16]]:
-    colour = linear_premultiplied(frame.colour, frame.alpha).clip(0, LARGEST_HALF)
+def _colour_channels(frame: Frame, options: ExrOptions) -> dict[str, NDArray[np.float16]]:
+    largest = LARGEST_LOSSY if options.compression in LOSSY else LARGEST_HALF
+    colour = linear_premultiplied(frame.colour, frame.alpha).clip(0, largest)
     channels = {
         name: np.ascontiguousarray(colour[..., index], np.float16)
         for index, name in enumerate("RGB")

@@ -6,13 +6,15 @@ import json
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 from styl3r_cli import limits, needs
 from styl3r_cli import manifest as manifests
-from styl3r_cli.errors import ModelError
+from styl3r_cli.errors import ModelError, shortened
 from styl3r_cli.manifest import Manifest
 from styl3r_cli.names import user_path
+from styl3r_cli.photos.resize import PATCH
 from styl3r_cli.sessions import Graph
 
 BUNDLED = Path(__file__).parent / "models"  # each folder in it is a model of that name
@@ -33,6 +35,7 @@ APPEARANCE_OUTPUTS = {"colours": 4}
 # Optimising a structure graph pays within its first run where the arithmetic takes long, and not
 # in a small one: for mini and two views it costs 0.4 s of processor time and saves 0.1 s.
 SMALL_GRAPH = 64_000_000  # bytes
+_LARGEST = 1e6  # of a picture's sides, and of what its values are scaled to
 UNFUSED = ("fp32", "fp16")  # precisions that run well unoptimised; integer operators must be fused
 
 
@@ -94,11 +97,14 @@ class Model:
             quick = one_scene and name == manifests.STRUCTURE and small
             return _verified(folder, name, manifest, device, threads, not quick)
 
+        graphs = (manifests.STRUCTURE, manifests.APPEARANCE)
+        read = [file for graph in graphs for file in manifests.files_of(graph, manifest)]
+        for other in manifest.files.keys() - read:  # weights may lie in files of any name
+            manifests.check_file(folder, other, manifest)
         with ThreadPoolExecutor(2) as pool:
-            structure, appearance = pool.map(load, (manifests.STRUCTURE, manifests.APPEARANCE))
+            structure, appearance = pool.map(load, graphs)
         structure.check(STRUCTURE_INPUTS, {}, STRUCTURE_OUTPUTS)
         appearance.check(APPEARANCE_INPUTS, APPEARANCE_OPTIONAL, APPEARANCE_OUTPUTS)
-        height, width = _pair(structure, manifests.PROP_INPUT_SIZE, (256, 256))
         return cls(
             name=manifest.model,
             folder=folder,
@@ -107,7 +113,7 @@ class Model:
             style_range=_pair(appearance, manifests.PROP_PAINTING_RANGE, (0.0, 1.0)),
             content_range=_pair(appearance, manifests.PROP_PHOTO_RANGE, (-1.0, 1.0)),
             paints_pictures=appearance.metadata.get(manifests.PROP_PICTURES) == "true",
-            input_size=(int(height), int(width)),
+            input_size=_size(structure),
             device=structure.device,
         )
 
@@ -146,12 +152,28 @@ def _verified(
 
 
 def _pair(graph: Graph, key: str, default: tuple[float, float]) -> tuple[float, float]:
-    """Two numbers from a graph's metadata."""
+    """Two numbers from a graph's metadata: a range of values, or a size."""
     text = graph.metadata.get(key)
     if text is None:
         return default
     try:
-        first, second = json.loads(text)
-        return float(first), float(second)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{graph.path}: metadata {key} is '{text}', not two numbers") from error
+        first, second = (float(number) for number in json.loads(text))
+        if not max(abs(first), abs(second)) <= _LARGEST or not isfinite(first + second):
+            raise ValueError("no values of a picture, and no size of one")
+        return first, second
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        message = f"{graph.path}: metadata {key} is '{shortened(text)}', not two numbers"
+        raise ModelError(message) from error
+
+
+def _size(graph: Graph) -> tuple[int, int]:
+    """(height, width) that a model was trained at.
+
+    Raises:
+        ModelError: it is no size that a network of patches reads.
+    """
+    size = _pair(graph, manifests.PROP_INPUT_SIZE, (256, 256))
+    if any(side < PATCH or side % PATCH for side in size):
+        message = f"{graph.path}: metadata {manifests.PROP_INPUT_SIZE} is {size}"
+        raise ModelError(f"{message}, not multiples of {PATCH}")
+    return int(size[0]), int(size[1])

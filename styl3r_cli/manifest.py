@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from styl3r_cli.errors import ModelError
+from styl3r_cli.errors import ModelError, shortened
 from styl3r_cli.files import read_file
 
 STRUCTURE = "structure.onnx"
@@ -36,6 +36,7 @@ PROP_PICTURES = "styl3r.paints_pictures"  # JSON: whether colours are what the v
 PROP_INPUT_SIZE = "styl3r.input_size"  # JSON [height, width] that the model was trained at
 
 Field = TypeVar("Field", int, str)
+_LARGEST = 1 << 20  # bytes of a manifest: it is half a kilobyte long
 _BLOCK = 1 << 22  # bytes hashed at a time
 
 
@@ -94,6 +95,8 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST
     try:
+        if path.stat().st_size > _LARGEST:
+            raise ValueError("too large")
         values = json.loads(read_file(path).decode("utf-8"))
     except FileNotFoundError as error:
         message = f"{folder}: no {MANIFEST}; a model is a folder that `styl3r export` wrote"
@@ -103,7 +106,7 @@ def read_manifest(folder: Path) -> Manifest:
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise ModelError(f"{path}: not a manifest of styl3r graphs; export the model again")
     if values.get("format_version") != FORMAT_VERSION:
-        found = values.get("format_version")
+        found = shortened(str(values.get("format_version")))
         message = f"{path}: format version {found}, this program reads {FORMAT_VERSION}"
         raise ModelError(f"{message}; export the model again")
     return _parse(path, values)

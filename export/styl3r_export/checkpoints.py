@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from styl3r_cli.errors import InputError
+from styl3r_cli.errors import InputError, shortened
 from styl3r_export.model import FULL, ModelConfig, Styl3r
 from styl3r_export.safe_pickle import read_checkpoint
 
@@ -38,6 +38,7 @@ class LoadReport:
         missing: the model's entries that the checkpoint does not have.
         unexpected: the checkpoint's entries that the model does not have.
         reshaped: entries whose shapes differ, with both shapes.
+        unusable: the model's entries that are sparse, quantised, complex or integer in the file.
         dropped: the checkpoint's entries outside of the network (no `encoder.` prefix).
         differing_aliases: names of tensors that came twice with different values.
     """
@@ -46,13 +47,14 @@ class LoadReport:
     missing: list[str] = field(default_factory=list)
     unexpected: list[str] = field(default_factory=list)
     reshaped: list[str] = field(default_factory=list)
+    unusable: list[str] = field(default_factory=list)
     dropped: list[str] = field(default_factory=list)
     differing_aliases: list[str] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:
         """Whether checkpoint and model have the same entries and shapes."""
-        return not (self.missing or self.unexpected or self.reshaped)
+        return not (self.missing or self.unexpected or self.reshaped or self.unusable)
 
     def summary(self) -> str:
         """One line: what differs, the first names of each kind."""
@@ -60,13 +62,14 @@ class LoadReport:
             "missing": self.missing,
             "unexpected": self.unexpected,
             "of another shape": self.reshaped,
+            "no floating-point numbers": self.unusable,
         }
         return "; ".join(f"{len(n)} {kind}: {listed(n)}" for kind, n in kinds.items() if n)
 
 
 def listed(names: Iterable[str]) -> str:
     """The first few names, and how many more there are."""
-    names = list(names)
+    names = [shortened(name) for name in names]
     rest = len(names) - LISTED
     return ", ".join(names[:LISTED]) + (f" and {rest} more" if rest > 0 else "")
 
@@ -146,10 +149,19 @@ def compare(model: Styl3r, entries: Mapping[str, Any]) -> LoadReport:
         ),
     )
     for name in sorted((wanted.keys() & entries.keys()) - set(report.unexpected)):
+        if not is_plain(entries[name]):
+            report.unusable.append(name)
+            continue
         ours, theirs = tuple(wanted[name].shape), tuple(entries[name].shape)
         if ours != theirs:
             report.reshaped.append(f"{name} {theirs} instead of {ours}")
     return report
+
+
+def is_plain(value: Tensor) -> bool:
+    """Whether a tensor is an ordinary array of floating-point numbers, and in memory."""
+    ordinary = value.layout == torch.strided and not (value.is_nested or value.is_meta)
+    return ordinary and value.is_floating_point()  # quantised, complex: not
 
 
 def differing_aliases(entries: Mapping[str, Tensor]) -> list[str]:
@@ -172,11 +184,12 @@ def _own(path: Path, content: Any) -> Styl3r:
     if not is_own(content):
         raise InputError(f"{path}: has no 'config' and 'model'; name a training run's checkpoint")
     try:
-        config = ModelConfig.from_dict(dict(content["config"]))
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: {error}; it was written by another version") from error
+        model = empty_model(ModelConfig.from_dict(dict(content["config"])))
+    except Exception as error:  # sizes that do not belong together fail anywhere in torch
+        message = f"{path}: {shortened(str(error))}; it is damaged, or of another version"
+        raise InputError(message) from error
     entries = {f"{PREFIX}{n}": v for n, v in content["model"].items()}
-    return _load_strictly(path, empty_model(config), entries)[0]
+    return _load_strictly(path, model, entries)[0]
 
 
 def is_own(content: object) -> bool:

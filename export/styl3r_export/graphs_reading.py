@@ -10,7 +10,7 @@ import onnx_ir as ir
 import torch
 
 from styl3r_cli import manifest as manifests
-from styl3r_cli.errors import ModelError
+from styl3r_cli.errors import ModelError, shortened
 from styl3r_export.checkpoints import canonical, empty_model, listed
 from styl3r_export.graph_passes import TRANSPOSED
 from styl3r_export.graphs_metadata import Provenance
@@ -38,18 +38,28 @@ def load_graphs(folder: Path) -> tuple[Styl3r, Provenance]:
         raise ModelError(f"{message}; start from the model that it was made from")
     for name in manifest.files:
         manifests.check_file(folder, name, manifest)
-    graphs = [ir.load(folder / name) for name in (manifests.STRUCTURE, manifests.APPEARANCE)]
-    properties = graphs[0].metadata_props
-    if any(g.metadata_props.get(manifests.PROP_WEIGHTS_ID) != manifest.weights_id for g in graphs):
-        raise ModelError(f"{folder}: the graphs do not belong together; export the model again")
-    config = ModelConfig.from_dict(json.loads(properties[manifests.PROP_CONFIG]))
-    weights = {n: t for g in graphs for n, t in _weights(g).items()}
-    provenance = Provenance(
-        properties[manifests.PROP_MODEL_VERSION],
-        properties[manifests.PROP_LICENCE],
-        properties[manifests.PROP_SOURCE],
-    )
-    return _filled(folder, config, weights), provenance
+    try:
+        graphs = [ir.load(folder / name) for name in (manifests.STRUCTURE, manifests.APPEARANCE)]
+        properties = graphs[0].metadata_props
+        if any(_weights_id(g) != manifest.weights_id for g in graphs):
+            raise ModelError(f"{folder}: the graphs do not belong together; export the model again")
+        model = empty_model(ModelConfig.from_dict(json.loads(properties[manifests.PROP_CONFIG])))
+        weights = {n: t for g in graphs for n, t in _weights(g).items()}
+        provenance = Provenance(
+            properties[manifests.PROP_MODEL_VERSION],
+            properties[manifests.PROP_LICENCE],
+            properties[manifests.PROP_SOURCE],
+        )
+    except ModelError:
+        raise
+    except Exception as error:  # graphs that another program wrote can raise anything
+        message = f"{folder}: no graphs of this project ({shortened(str(error))})"
+        raise ModelError(f"{message}; export the model again") from error
+    return _filled(folder, model, weights), provenance
+
+
+def _weights_id(graph_model: ir.Model) -> str | None:
+    return graph_model.metadata_props.get(manifests.PROP_WEIGHTS_ID)
 
 
 def _weights(graph_model: ir.Model) -> dict[str, torch.Tensor]:
@@ -66,8 +76,7 @@ def _weights(graph_model: ir.Model) -> dict[str, torch.Tensor]:
     return found
 
 
-def _filled(folder: Path, config: ModelConfig, weights: dict[str, torch.Tensor]) -> Styl3r:
-    model = empty_model(config)
+def _filled(folder: Path, model: Styl3r, weights: dict[str, torch.Tensor]) -> Styl3r:
     state = {}
     for name, ours in model.state_dict().items():
         value = weights.get(canonical(name))

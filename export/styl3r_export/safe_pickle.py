@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import struct
+import sys
 import warnings
 import zipfile
 from collections import OrderedDict
@@ -31,6 +32,7 @@ STORAGES = {
 }
 # What a tensor's or a parameter's pickle calls, and ours for it.
 TENSOR_MODULE = "torch._utils"
+ORDER = sys.byteorder.encode()  # as torch writes it
 
 
 class Placeholder:
@@ -138,6 +140,8 @@ def read_checkpoint(path: Path) -> Any:
     if not path.is_file():
         raise InputError(f"{path}: no such file; name a checkpoint")
     zipped = _is_zipped(path)
+    if zipped:
+        _check_archive(path)
     try:
         with warnings.catch_warnings():  # about pickles that the second reader may well read
             warnings.simplefilter("ignore")
@@ -155,8 +159,36 @@ def read_checkpoint(path: Path) -> Any:
                 raise pickle.UnpicklingError("it holds no pickled data")
             return InertUnpickler(archive, pickles[0].removesuffix("data.pkl")).load()
     except Exception as error:  # a damaged pickle can raise anything
-        message = f"{path}: damaged, or not a torch checkpoint ({shortened(str(error))})"
-        raise InputError(f"{message}; download it again") from error
+        raise _damaged(path, error) from error
+
+
+def _check_archive(path: Path) -> None:
+    """Make sure that an archive's parts are stored as torch stores them, and undamaged.
+
+    Torch reads parts in place: it takes compressed ones for values, and checks no checksum. What is
+    not compressed, and has a place of its own in the file, takes no more memory than the file.
+
+    Raises:
+        InputError: they are not.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            parts = archive.infolist()
+            if any(part.compress_type != zipfile.ZIP_STORED for part in parts):
+                raise zipfile.BadZipFile("its parts are compressed")
+            if sum(part.file_size for part in parts) > path.stat().st_size:
+                raise zipfile.BadZipFile("its parts are larger than the file")
+            if any(p.filename.endswith("/byteorder") and archive.read(p) != ORDER for p in parts):
+                raise zipfile.BadZipFile("of a machine with another order of bytes")
+            if damaged := archive.testzip():
+                raise zipfile.BadZipFile(f"the checksum of {damaged} differs")
+    except Exception as error:  # zipfile raises struct.error, NotImplementedError and others, too
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    message = f"{path}: damaged, or not a torch checkpoint ({shortened(str(error))})"
+    return InputError(f"{message}; download it again")
 
 
 def _is_zipped(path: Path) -> bool:

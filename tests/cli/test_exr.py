@@ -158,6 +158,23 @@ def test_colours_too_bright_for_half_floats_stay_finite(
     assert (read(tmp_path / "a.exr")[0]["R"] == 65504).all()
 
 
+@pytest.mark.parametrize("compression", exr.COMPRESSIONS)
+def test_bright_dots_stay_finite_in_every_compression(
+    gaussians: Gaussians, tmp_path: Path, compression: str
+) -> None:
+    """DWAA and DWAB overshoot beside an edge, which from half floats' end is infinity."""
+    camera = Camera(np.eye(4), 16, 16, 8, 8, 16, 16)
+    for seed in range(10):
+        dots = np.random.default_rng(seed).random((16, 16, 1)) < 0.1 * seed
+        colour = np.where(dots, np.float32(1e30), np.float32(0.5)).repeat(3, axis=2)
+        opaque = np.ones((16, 16), np.float32)
+        frame = replace(render(gaussians, camera, None), colour=colour, alpha=opaque)
+        exr.write_exr(tmp_path / "a.exr", frame, camera, ExrOptions(compression))
+        back = read(tmp_path / "a.exr")[0]
+        assert all(np.isfinite(back[name]).all() for name in "RGBA")
+        assert (back["R"][dots[..., 0]] > 40_000).all()
+
+
 def test_same_frame_same_bytes(gaussians: Gaussians, tmp_path: Path) -> None:
     camera = turned_camera()
     for name in ("a.exr", "b.exr"):

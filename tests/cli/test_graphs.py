@@ -160,6 +160,41 @@ def test_weights_outside_the_folder_are_refused(folder: Path, tmp_path: Path) ->
         Model.load(str(folder), "cpu")
 
 
+def test_weights_in_files_of_any_name_are_checked(folder: Path) -> None:
+    (folder / "weights.bin").write_bytes(b"as they were")
+    write_manifest(folder)
+    Model.load(str(folder), "cpu")
+    (folder / "weights.bin").write_bytes(b"as they are!")
+    with pytest.raises(ModelError, match=r"weights\.bin: damaged \(checksum differs\)"):
+        Model.load(str(folder), "cpu")
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [
+        (manifests.PROP_INPUT_SIZE, "[NaN, 256]"),
+        (manifests.PROP_INPUT_SIZE, "[1e400, 256]"),
+        (manifests.PROP_INPUT_SIZE, "[-256, 256]"),
+        (manifests.PROP_INPUT_SIZE, "[100, 100]"),
+        (manifests.PROP_INPUT_SIZE, "[" * 100_000),
+        (manifests.PROP_PAINTING_RANGE, "[NaN, 1]"),
+        (manifests.PROP_PAINTING_RANGE, "x" * 100_000),
+        (manifests.PROP_PHOTO_RANGE, "[0, 1e40]"),
+    ],
+)
+def test_numbers_of_a_graph_that_are_none_are_refused(folder: Path, key: str, text: str) -> None:
+    for path in folder.glob("*.onnx"):
+        proto = onnx.load(path)
+        for prop in proto.metadata_props:
+            if prop.key == key:
+                prop.value = text
+        path.write_bytes(proto.SerializeToString())
+    write_manifest(folder)
+    with pytest.raises(ModelError, match=f"metadata {key}") as caught:
+        Model.load(str(folder), "cpu")
+    assert len(str(caught.value)) < 400 + len(str(folder))
+
+
 def test_missing_things_are_named(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"no model 'maxi': neither bundled .* nor a folder"):
         Model.load("maxi")

@@ -122,3 +122,17 @@ def test_other_contents_are_refused(folder: Path, content: str) -> None:
 def test_a_folder_without_a_manifest_is_no_model(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="a model is a folder that `styl3r export` wrote"):
         read_manifest(tmp_path)
+
+
+def test_what_a_manifest_says_is_not_recited(folder: Path) -> None:
+    rewrite(folder, format_version="x" * 100_000)
+    with pytest.raises(ModelError) as caught:
+        read_manifest(folder)
+    assert len(str(caught.value)) < 400 + len(str(folder))
+
+
+def test_a_manifest_of_any_size_takes_no_memory(folder: Path) -> None:
+    with (folder / MANIFEST).open("r+b") as file:
+        file.truncate(1 << 40)  # a hole
+    with pytest.raises(ModelError, match="too large"):
+        read_manifest(folder)

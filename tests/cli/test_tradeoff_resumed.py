@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -198,3 +201,34 @@ def test_interrupted_runs_go_on_and_other_inputs_start_anew(
 
     assert measure(*photos[::-1], *plain, "--repeats", 1)[0] == 0
     assert len(here) == whole + 2
+
+
+ASLEEP = """
+import sys, time
+from styl3r_cli.tradeoff import worker
+
+def measure(job):
+    print("at work", file=sys.stderr, flush=True)
+    time.sleep(600)
+
+worker.measure = measure
+worker.main()
+"""
+ASKING = """
+import subprocess, sys
+subprocess.run([sys.executable, "-c", sys.argv[1]], input="{}", text=True)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes have no new parent elsewhere")
+def test_a_worker_does_not_outlive_who_asked() -> None:
+    command = [sys.executable, "-c", ASKING, ASLEEP]
+    asking = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
+    assert asking.stderr is not None
+    assert asking.stderr.readline() == b"at work\n"
+    asking.kill()
+    try:
+        asking.communicate(timeout=20)  # the worker holds the pipe's other end
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(asking.pid, signal.SIGKILL)

@@ -10,6 +10,7 @@ import tracemalloc
 import types
 import zipfile
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,8 @@ from styl3r_cli.errors import InputError
 from styl3r_export import checkpoints
 from styl3r_export.checkpoints import CheckpointError, load_any, load_own, load_published
 from styl3r_export.initialise import initialise_from_mast3r, initialise_from_noposplat
-from styl3r_export.model import FULL, Styl3r, build
+from styl3r_export.model import FULL, ModelConfig, Styl3r, build
+from styl3r_export.model.config import CONFIGS
 from styl3r_export.safe_pickle import InertUnpickler, read_checkpoint
 
 TINY = replace(
@@ -322,6 +324,119 @@ def test_a_truncated_file_is_refused(tiny: Styl3r, tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(InputError, match=r"a\.ckpt"):
         load_published(path)
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        {"encoder_dim": -32},
+        {"encoder_dim": "32"},
+        {"encoder_dim": 32.0},
+        {"encoder_dim": None},
+        {"encoder_dim": 10**12},
+        {"encoder_depth": 10**9},
+        {"encoder_depth": True},
+        {"head_dim": 0},
+        {"head_dim": 6, "encoder_dim": 12, "decoder_dim": 12},
+        {"mlp_ratio": 4.5},
+        {"hooks": (1,)},
+        {"hooks": (1, 2, 300)},
+        {"hooks": (1, 1, 2)},
+        {"stylizer_depth": 1},
+        {"head_maps": (3, 4)},
+        {"point_features": -2},
+        {"name": "two\nlines"},
+        {"name": "../elsewhere"},
+        {"stem": "x"},
+        {"points": ["rays"]},
+        {"smooth_strokes": "no"},
+        {"x" * 5000: 1},
+    ],
+)
+def test_configurations_that_lie_are_refused_in_one_short_line(
+    tmp_path: Path, lie: dict[str, Any]
+) -> None:
+    content = {"config": TINY.to_dict() | lie, "model": {}}
+    with pytest.raises(InputError) as caught:
+        load_own(saved(tmp_path / "a.ckpt", content))
+    message = str(caught.value)
+    assert "or of another version" in message
+    assert "\n" not in message
+    assert len(message) < 400 + len(str(tmp_path))
+
+
+def test_every_size_of_ours_is_a_possible_one() -> None:
+    for config in (*CONFIGS.values(), TINY):
+        assert ModelConfig.from_dict(config.to_dict()) == config
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        lambda weight: weight.to_sparse(),
+        lambda weight: weight.to_sparse_csr(),
+        lambda weight: torch.quantize_per_tensor(weight, 0.1, 0, torch.qint8),
+        lambda weight: weight.to("meta"),
+        lambda weight: weight.to(torch.complex64) * 1j,
+        lambda weight: weight.byte(),
+        lambda weight: torch.nested.nested_tensor([weight[0], weight[1]]),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_tensors_that_are_no_plain_numbers_are_refused(
+    tiny: Styl3r, tmp_path: Path, of: Callable[[Tensor], Tensor]
+) -> None:
+    content, name = lightning(tiny), "backbone.decoder_embed.weight"
+    state = content["state_dict"]
+    state[f"encoder.{name}"] = of(state[f"encoder.{name}"].detach())
+    with pytest.raises(CheckpointError, match=f"1 no floating-point numbers: {name}"):
+        load_published(saved(tmp_path / "a.ckpt", content))
+
+
+def rewritten(path: Path, compression: int, **parts: bytes) -> None:
+    """The archive again, some of its parts replaced."""
+    with zipfile.ZipFile(path) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, data in content.items():
+            archive.writestr(name, parts.get(name.rpartition("/")[2], data))
+
+
+def test_compressed_archives_are_refused_whatever_they_grow_to(
+    tiny: Styl3r, tmp_path: Path
+) -> None:
+    """Torch maps them into memory as they are; one of a few kilobytes can hold gigabytes."""
+    path = saved(tmp_path / "a.ckpt", lightning(tiny))
+    rewritten(path, zipfile.ZIP_DEFLATED)
+    with pytest.raises(InputError, match="its parts are compressed"):
+        read_checkpoint(path)
+
+
+def test_archives_whose_parts_overlap_are_refused(tiny: Styl3r, tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.ckpt", lightning(tiny))
+    with zipfile.ZipFile(path, "a") as archive:
+        largest = max(archive.filelist, key=lambda part: part.file_size)
+        archive.filelist.extend([largest] * 1000)
+        archive.writestr("last", b"")  # so that the directory is written
+    with pytest.raises(InputError, match="larger than the file"):
+        read_checkpoint(path)
+
+
+def test_the_other_order_of_bytes_is_refused(tiny: Styl3r, tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.ckpt", lightning(tiny))
+    rewritten(path, zipfile.ZIP_STORED, byteorder=b"big")
+    with pytest.raises(InputError, match="another order of bytes"):
+        read_checkpoint(path)
+
+
+def test_a_changed_bit_of_a_weight_is_noticed(tiny: Styl3r, tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.ckpt", lightning(tiny))
+    weight = tiny.get_parameter("backbone.decoder_embed.weight").detach().numpy().tobytes()
+    data = bytearray(path.read_bytes())
+    data[data.index(weight) + 5] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="checksum"):
+        read_checkpoint(path)
 
 
 def test_a_missing_file_and_another_layout_are_refused(tiny: Styl3r, tmp_path: Path) -> None:

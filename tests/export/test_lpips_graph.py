@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from click.testing import CliRunner
 
 from styl3r_cli.tradeoff.perceptual import Perceptual
@@ -71,7 +72,11 @@ def test_other_files_are_no_weights(tmp_path: Path) -> None:
     other, damaged = tmp_path / "other.npz", tmp_path / "damaged.npz"
     np.savez(other, **{"features.0.weight": np.zeros((64, 3, 11, 11), np.float32)})
     damaged.write_bytes(other.read_bytes()[:100])
-    for path, told in ((other, "no features.0.bias"), (damaged, "not an .npz file")):
+    single, checkpoint = tmp_path / "single.npy", tmp_path / "net.pth"
+    np.save(single, np.zeros(3))
+    torch.save({"features.0.weight": torch.zeros(3)}, checkpoint)  # a zip archive, too
+    told_of = dict.fromkeys((damaged, single, checkpoint), "not an .npz file")
+    for path, told in {other: "no features.0.bias", **told_of}.items():
         done = CliRunner().invoke(lpips.main, [str(path), "-o", str(tmp_path / "x.onnx")])
         assert (done.exit_code, told in done.output) == (3, True), done.output
     assert not (tmp_path / "x.onnx").exists()

@@ -18,9 +18,10 @@ def load_npz(path: Path) -> dict[str, Tensor]:
 
     Raises:
         FileNotFoundError: there is no such file.
+        TypeError, ValueError: it holds something else.
     """
     with np.load(path, allow_pickle=False) as arrays:
-        return {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in arrays.files}
+        return {name: torch.from_numpy(np.array(arrays[name], np.float32)) for name in arrays.files}
 
 
 def initialise_flow(model: Styl3r, raft: Path) -> None:

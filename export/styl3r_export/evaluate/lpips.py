@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.export import Dim
 from torch.nn import functional as F
 
-from styl3r_cli.errors import InputError, ModelError, Styl3rError
+from styl3r_cli.errors import InputError, ModelError, Styl3rError, shortened
 from styl3r_cli.files import atomic_write
 from styl3r_cli.tradeoff.perceptual import INPUTS, LEAST_SIDE, OUTPUTS, Perceptual
 from styl3r_export.curriculum.teachers import load_npz
@@ -67,8 +67,8 @@ class Lpips:
         """
         try:
             self.weights = load_npz(weights)
-        except (ValueError, zipfile.BadZipFile) as error:
-            raise InputError(f"{weights}: not an .npz file: {error}") from error
+        except (TypeError, ValueError, zipfile.BadZipFile) as error:
+            raise InputError(f"{weights}: not an .npz file: {shortened(str(error))}") from error
         if missing := sorted(NAMES - set(self.weights)):
             raise InputError(f"{weights}: no weights of LPIPS with AlexNet: no {missing[0]}")
         self.shift, self.scale = (torch.tensor(v).view(1, 3, 1, 1) for v in (SHIFT, SCALE))

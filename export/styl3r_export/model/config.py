@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_type_hints
 
 # One view in, one patch row or column a 16 px square: every size is a multiple of this.
 PATCH = 16
+# Far beyond any network, and built in a moment: what a damaged file asks for may take for ever.
+MOST_LAYERS, WIDEST = 256, 1 << 14
+# Names are put into messages, into graphs and into what they are called.
+NAME = re.compile(r"\w[\w.-]{0,63}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -71,15 +76,66 @@ class ModelConfig:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> ModelConfig:
-        """The inverse of `to_dict` (lists from JSON become tuples again)."""
+        """The inverse of `to_dict` (lists from JSON become tuples again).
+
+        Raises:
+            ValueError: fields are unknown, of another kind, or no network's sizes.
+        """
         known = {f.name for f in fields(cls)}
-        unknown = sorted(set(values) - known)
+        unknown = sorted(str(name) for name in set(values) - known)
         if unknown:
             raise ValueError(f"unknown configuration fields: {', '.join(unknown)}")
         plain: dict[str, Any] = {
             k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
         }
-        return cls(**plain)
+        config = cls(**plain)
+        _check_fields(config)
+        _check_sizes(config)
+        return config
+
+
+def _check_fields(config: ModelConfig) -> None:
+    """Make sure that every field is of its kind, each number alone a possible one.
+
+    Raises:
+        ValueError: one is not.
+    """
+    kinds = get_type_hints(ModelConfig)
+    usual: Any  # the default's kind is the field's
+    for field in fields(ModelConfig):
+        value, usual = getattr(config, field.name), field.default
+        allowed = get_args(kinds[field.name]) if isinstance(usual, str) else ()
+        if type(value) is not type(usual) or (allowed and value not in allowed):
+            raise ValueError(f"configuration field {field.name} is no {allowed or type(usual)}")
+        numbers = value if isinstance(usual, tuple) else (value,) if type(usual) is int else ()
+        most = MOST_LAYERS if field.name.endswith(("depth", "rounds")) else WIDEST
+        if not all(type(n) is int and 1 <= n <= most for n in numbers):
+            raise ValueError(f"configuration field {field.name} is outside 1 to {most}")
+        if isinstance(usual, tuple) and len(value) != len(usual):
+            raise ValueError(f"configuration field {field.name} has not {len(usual)} values")
+    if not NAME.fullmatch(config.name):
+        raise ValueError("the configuration's name is no name")
+
+
+def _check_sizes(config: ModelConfig) -> None:
+    """Make sure that sizes belong together.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if config.head_dim % 4:  # pairs of channels for y, as many for x
+        raise ValueError(f"head_dim {config.head_dim} is no multiple of 4")
+    for width in (config.encoder_dim, config.decoder_dim):
+        if width % config.head_dim:
+            raise ValueError(f"width {width} is no multiple of head_dim {config.head_dim}")
+    depths = [config.decoder_depth]
+    if config.colours == "tokens":
+        depths.append(config.stylizer_depth)
+    for depth in depths:
+        # Hooks of the stylization decoder are the structure decoder's, scaled to its depth.
+        read = [hook * depth // config.decoder_depth for hook in config.hooks]
+        if len({0, *read}) != 1 + len(read) or read != sorted(read) or read[-1] > depth:
+            raise ValueError(f"hooks {config.hooks} are not in order within {depth} layers")
 
 
 FULL = ModelConfig()

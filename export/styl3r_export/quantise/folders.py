@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import onnx
@@ -15,6 +16,7 @@ from styl3r_cli import manifest as manifests
 from styl3r_cli.errors import ModelError, OutputError
 from styl3r_cli.files import TEMP_PREFIX
 from styl3r_cli.manifest import APPEARANCE, MANIFEST, STRUCTURE, Manifest
+from styl3r_cli.names import real_path
 from styl3r_export.quantise import integers, storage
 from styl3r_export.quantise.calibration import Sample, feeds_of
 from styl3r_export.quantise.loss import Loss, rendered_loss
@@ -189,6 +191,7 @@ def replacing(folder: Path) -> Iterator[Path]:
         OutputError: the folder is in use by something else, or cannot be written.
     """
     check_target(folder)
+    folder = real_path(folder)  # a link keeps pointing where it points
     temporary = folder.parent / f"{TEMP_PREFIX}{secrets.token_hex(6)}"
     try:
         temporary.mkdir()
@@ -197,6 +200,8 @@ def replacing(folder: Path) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"cannot write {folder}: {error.strerror or error}") from error
     finally:
+        with suppress(OSError):  # some umasks keep a folder's own maker out of it
+            temporary.chmod(0o700)
         shutil.rmtree(temporary, ignore_errors=True)
 
 
@@ -204,18 +209,31 @@ def check_target(folder: Path) -> None:
     """Make sure that an export may go to a folder.
 
     Raises:
-        OutputError: it is a file, its parent does not exist, or it holds something else: all that
-            is in it goes.
+        OutputError: it is a file, its parent does not exist, it is write-protected, the current
+            one, or it holds something else: all that is in it goes.
     """
-    if folder.is_dir():
-        others = {path.name for path in folder.iterdir()} - _exported(folder)
-        if others:
-            message = f"cannot write {folder}: the folder holds something else ({min(others)})"
-            raise OutputError(f"{message}; name a new or an empty one")
-    elif folder.exists():
-        raise OutputError(f"cannot write {folder}: it is a file; name a folder")
-    elif not folder.absolute().parent.is_dir():
-        raise OutputError(f"cannot write {folder}: {folder.parent} does not exist")
+    try:
+        if folder.is_dir():
+            _check_earlier(folder)
+        elif folder.exists():
+            raise OutputError(f"cannot write {folder}: it is a file; name a folder")
+        elif not real_path(folder).parent.is_dir():
+            raise OutputError(f"cannot write {folder}: {folder.parent} does not exist")
+    except OSError as error:
+        raise OutputError(f"cannot write {folder}: {error.strerror or error}") from error
+
+
+def _check_earlier(folder: Path) -> None:
+    """Make sure that a folder may be replaced as a whole."""
+    known = _exported(folder)
+    others = {path.name for path in folder.iterdir() if path.is_dir() or path.name not in known}
+    if others:
+        message = f"cannot write {folder}: the folder holds something else ({min(others)})"
+        raise OutputError(f"{message}; name a new or an empty one")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(f"cannot write {folder}: the folder is write-protected")
+    if folder.samefile(os.curdir):
+        raise OutputError(f"cannot write {folder}: it is the current folder, and is replaced")
 
 
 def _exported(folder: Path) -> set[str]:
