@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from blurred_scales import Blur
 from PIL import Image
 from shared_reference import reference_folder
 
@@ -16,6 +17,7 @@ from styl3r_export.curriculum.pictures import PictureBank, flat_batches, trainin
 from styl3r_export.curriculum.stylization import (
     StyleStep,
     correspondences,
+    laid_over,
     style_batches,
     view_agreement,
 )
@@ -46,14 +48,6 @@ def pictures(tmp_path_factory) -> Path:
     return folder
 
 
-class Blur(torch.nn.Module):
-    """A perceptual network that needs no weights: the picture at four scales."""
-
-    def forward(self, images: torch.Tensor) -> list[torch.Tensor]:
-        """Averages of 1, 2, 4 and 8 pixels."""
-        return [torch.nn.functional.avg_pool2d(images, 2**k) for k in range(4)]
-
-
 def trainer(folder: Path, steps: int, trains=stages.geometry_trains) -> Trainer:
     torch.manual_seed(0)
     return Trainer(folder, Schedule(steps, warm_up=1), trains)
@@ -80,6 +74,18 @@ def test_flat_scenes_agree_exactly(pictures):
     bank = PictureBank(training_pictures(pictures), 80)
     batch = next(flat_batches(bank, seed=0, scenes=3, size=64))
     assert view_agreement(batch.images, batch) < 1e-3
+
+
+def test_views_laid_over_each_other_keep_what_they_agree_on(shards):
+    batch = next(data.batches(shards, seed=1, size=2, views=(3,)))
+    grey = torch.full_like(batch.images, 0.5)
+    torch.testing.assert_close(laid_over(grey, batch), grey[:, 0])
+    # Marks that only one view makes lose their share of every place that others see.
+    marks = torch.randn_like(grey[:, 0])
+    marked = torch.cat((grey[:, :1] + marks[:, None], grey[:, 1:]), dim=1)
+    _, seen = correspondences(batch)
+    share = 1 / (1 + seen.sum(dim=1, keepdim=True))
+    torch.testing.assert_close(laid_over(marked, batch), grey[:, 0] + share * marks)
 
 
 def test_geometry_stage_trains_resumes_and_leaves_colours_alone(shards, tmp_path):

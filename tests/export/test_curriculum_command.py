@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from blurred_scales import Blur
 from PIL import Image
 
 from styl3r_export.curriculum import __main__ as command
@@ -19,14 +20,6 @@ from styl3r_export.scenes.shards import Plan, write_shard
 from styl3r_export.scenes.textures import TextureBank
 
 SIZE, FRAMES = 64, 30  # videos must be longer than RE10K's first gap of 25 frames
-
-
-class Blur(torch.nn.Module):
-    """A perceptual network that needs no weights: the picture at four scales."""
-
-    def forward(self, images: torch.Tensor) -> list[torch.Tensor]:
-        """Averages of 1, 2, 4 and 8 pixels."""
-        return [torch.nn.functional.avg_pool2d(images, 2**k) for k in range(4)]
 
 
 @pytest.fixture(autouse=True)
@@ -215,7 +208,7 @@ def test_styles_are_learnt_on_videos_too(
         (("novel-views", "--data", "x"), "--perceptual"),
         (("photometric", "--perceptual", "x"), "--re10k or --dl3dv"),
         (("style", "--perceptual", "x", "--data", "x"), "--styles and --photos"),
-        (("steady", "--styles", "x", "--photos", "x", "--data", "x"), "--start"),
+        (("steady", "--styles", "x", "--photos", "x", "--data", "x"), "--start and --perceptual"),
         (
             ("photometric", "--perceptual", "x", "--re10k", "x", "--frozen"),
             "geometry and novel-views",

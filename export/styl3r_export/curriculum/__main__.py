@@ -55,7 +55,7 @@ NEEDS = {
     "novel-views": ("perceptual",),
     "photometric": ("perceptual",),
     "style": ("perceptual", "styles", "photos"),
-    "steady": ("start", "styles", "photos"),
+    "steady": ("start", "perceptual", "styles", "photos"),
 }
 # Stages whose losses need no other network.
 OWN_LOSSES = {"matches": stages.matches_step, "geometry": stages.geometry_step}
@@ -171,9 +171,9 @@ def make_step(args: argparse.Namespace) -> Step:
     """The stage's losses."""
     if args.stage in OWN_LOSSES:
         return OWN_LOSSES[args.stage]
-    if args.stage == "steady":
-        return SteadyStep(start_of(args.start).strokes, args.seed)
     perceptual = load_perceptual(args.perceptual)
+    if args.stage == "steady":
+        return SteadyStep(start_of(args.start).strokes, args.seed, perceptual)
     if args.stage == "novel-views":
         return NovelViewStep(perceptual, geometry_too=not args.frozen, seed=args.seed)
     if args.stage == "photometric":

@@ -18,6 +18,8 @@ from styl3r_export.safe_pickle import read_checkpoint
 
 # Stabilises the standard deviation of constant features (published).
 STD_EPS = 1e-8
+# Added to the size of features that distances are divided by; they are 1 and more.
+STATISTICS_EPS = 1e-3
 
 
 class Perceptual(Protocol):
@@ -150,6 +152,19 @@ def style_distance(a: list[Tensor], b: list[Tensor]) -> Tensor:
         (mean_x, std_x), (mean_y, std_y) = statistics(x), statistics(y)
         total = total + F.mse_loss(mean_x, mean_y) + F.mse_loss(std_x, std_y)
     return total
+
+
+def relative_style_distance(a: list[Tensor], b: list[Tensor]) -> Tensor:
+    """The style distance with every depth relative to `b`'s features there, so that all count.
+
+    The slim VGG19's own features are 15 times as strong at its second depth as at its deepest:
+    the plain sum is of shallow ones alone.
+    """
+    parts = [
+        style_distance([x], [y]) / (y.square().mean() + STATISTICS_EPS)
+        for x, y in zip(a, b, strict=True)
+    ]
+    return torch.stack(parts).sum()
 
 
 def content_distance(a: list[Tensor], b: list[Tensor]) -> Tensor:

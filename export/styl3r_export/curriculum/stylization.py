@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from styl3r_cli.onnx_library import onnxruntime
 from styl3r_export.curriculum.data import Batch
 from styl3r_export.curriculum.geometry import OCCLUSION, to_world
-from styl3r_export.curriculum.perceptual import content_distance, style_distance
+from styl3r_export.curriculum.perceptual import STATISTICS_EPS, content_distance, style_distance
 from styl3r_export.model import Styl3r
 from styl3r_export.model.adapter import pixel_rays
 
@@ -26,9 +26,6 @@ WEIGHTS = {
     "identity": 70.0,  # squared difference, content photo as style (published)
     "agreement": 2.0,  # mean absolute difference of one place's colours between views
 }
-# The style distance is divided by this times the features' size, so that its weight does not
-# depend on the perceptual network.
-STATISTICS_EPS = 1e-3
 # Fraction of batches that practise reconstruction, and of those that mix style and content.
 IDENTITY_SHARE, MIXED_SHARE = 0.2, 0.15
 
@@ -127,11 +124,28 @@ def stylise(
 
 def view_agreement(colours: Float[Tensor, "batch views 3 H W"], scenes: Batch) -> Tensor:
     """Mean absolute difference of the first view's colours to what each other view gives them."""
-    grid, seen = correspondences(scenes)
-    others = colours[:, 1:].flatten(0, 1)
-    sampled = F.grid_sample(others, grid.flatten(0, 1), align_corners=False)
-    difference = (sampled.unflatten(0, seen.shape[:2]) - colours[:, :1]).abs().mean(dim=2)
+    others, seen = seen_by_others(colours, scenes)
+    difference = (others - colours[:, :1]).abs().mean(dim=2, keepdim=True)
     return (difference * seen).sum() / seen.sum().clamp_min(1)
+
+
+def laid_over(
+    colours: Float[Tensor, "batch views 3 H W"], scenes: Batch
+) -> Float[Tensor, "batch 3 H W"]:
+    """The first view with every place in the mean of its colours in all views that see it."""
+    others, seen = seen_by_others(colours, scenes)
+    return (colours[:, 0] + (others * seen).sum(dim=1)) / (1 + seen.sum(dim=1))
+
+
+def seen_by_others(
+    colours: Float[Tensor, "batch views 3 H W"], scenes: Batch
+) -> tuple[Float[Tensor, "batch others 3 H W"], Bool[Tensor, "batch others 1 H W"]]:
+    """What each other view gives the first view's places, and whether it sees them."""
+    grid, seen = correspondences(scenes)
+    others = F.grid_sample(
+        colours[:, 1:].flatten(0, 1), grid.flatten(0, 1), padding_mode="border", align_corners=False
+    ).unflatten(0, seen.shape[:2])
+    return others, seen[:, :, None]
 
 
 @torch.no_grad()
