@@ -9,11 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from styl3r_export.curriculum.perceptual import relative_style_distance
-from styl3r_export.curriculum.stylization import (
-    StyleBatch,
-    laid_over,
-    view_agreement,
-)
+from styl3r_export.curriculum.stylization import StyleBatch, laid_over, view_agreement
 from styl3r_export.model import Styl3r
 from styl3r_export.model.strokes import Code, Strokes
 
