@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.fitting.refit import GREY, Target
-from styl3r_cli.fitting.tracing import Trace
+from styl3r_cli.fitting.tracing import Trace, pixel_of
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting.compiler import in_threads, kernel
 from styl3r_cli.splatting.constants import ALPHA_MAX, DILATION
@@ -61,7 +61,7 @@ class Slopes:
         slopes = np.empty((len(seen.shares), ERRORS), np.float32)
         widths = np.empty(len(seen.shares), np.float32)
         _differentiate(
-            seen.pixels, seen.gaussians, seen.shares, colours, opacities, own, rest,
+            *seen.runs, seen.places, seen.shares, seen.width, colours, opacities, own, rest,
             np.ones(len(rest), np.float32), seen.through, slopes, widths,
         )  # fmt: skip
         return cls(seen, slopes, widths)
@@ -69,19 +69,23 @@ class Slopes:
     def draw(self, values: FloatArray) -> FloatArray:
         """(P, 4) what changes with (K, 5) unknowns."""
         seen, out = self.seen, np.zeros((len(self.seen.picture), ERRORS), np.float32)
-        _draw(seen.pixels, seen.gaussians, seen.shares, self.slopes, self.widths, values, out)
+        _draw(
+            *seen.runs, seen.places, seen.shares, seen.width, self.slopes, self.widths, values, out
+        )
         return out
 
     def gather(self, values: FloatArray) -> FloatArray:
         """The transposed, times (P, 4): (K, 5)."""
         seen, out = self.seen, np.zeros((self.seen.count, UNKNOWNS), np.float32)
-        _gather(seen.pixels, seen.gaussians, seen.shares, self.slopes, self.widths, values, out)
+        _gather(
+            *seen.runs, seen.places, seen.shares, seen.width, self.slopes, self.widths, values, out
+        )
         return out
 
     def curvature(self) -> FloatArray:
         """(K, 5) sums of squares of the matrix's columns."""
         seen, out = self.seen, np.zeros((self.seen.count, UNKNOWNS), np.float32)
-        _curvature(seen.gaussians, seen.shares, self.slopes, self.widths, out)
+        _curvature(seen.gaussians, seen.starts, seen.shares, self.slopes, self.widths, out)
         return out
 
     def lacks(self, target: Target) -> FloatArray:
@@ -174,55 +178,75 @@ def _conjugate_gradients(
 
 
 @kernel
-def _differentiate(pixels, gaussians, shares, colours, opacities, own, rest, left, through, slopes,
-                   widths):  # fmt: skip
+def _differentiate(gaussians, corners, starts, places, shares, width, colours, opacities, own, rest,
+                   left, through, slopes, widths):  # fmt: skip
     """Shares of a pixel come front to back: `rest` is what is still behind, `left` how much shows.
 
     A more opaque Gaussian shows more of itself, and less of what is behind.
     """
-    for i in range(len(shares)):
-        g, p, share = gaussians[i], pixels[i], shares[i]
-        alpha = min(share / left[p], np.float32(ALPHA_MAX))
-        left[p] = max(left[p] - share, np.float32(0))
-        hides = alpha / (np.float32(1) - alpha)
-        for c in range(VEIL):
-            own_colour = share * colours[g, c]
-            rest[p, c] -= own_colour
-            slopes[i, c] = own_colour - hides * rest[p, c]
-        slopes[i, VEIL] = -VEIL_WEIGHT * hides * through[p]
-        off = max(np.float32(0), np.float32(2) * math.log(opacities[g] / alpha))
-        widths[i] = off * own[g]
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        for i in range(starts[run], starts[run + 1]):
+            p, share = pixel_of(corners[run], places[i], width), shares[i]
+            alpha = min(share / left[p], np.float32(ALPHA_MAX))
+            left[p] = max(left[p] - share, np.float32(0))
+            hides = alpha / (np.float32(1) - alpha)
+            for c in range(VEIL):
+                own_colour = share * colours[g, c]
+                rest[p, c] -= own_colour
+                slopes[i, c] = own_colour - hides * rest[p, c]
+            slopes[i, VEIL] = -VEIL_WEIGHT * hides * through[p]
+            off = max(np.float32(0), np.float32(2) * math.log(opacities[g] / alpha))
+            widths[i] = off * own[g]
 
 
 @kernel
-def _draw(pixels, gaussians, shares, slopes, widths, values, out):
-    for i in range(len(shares)):
-        g, p, share = gaussians[i], pixels[i], shares[i]
-        more = values[g, OPACITY] + widths[i] * values[g, SCALE]
-        for c in range(VEIL):
-            out[p, c] += share * values[g, c] + slopes[i, c] * more
-        out[p, VEIL] += slopes[i, VEIL] * more
+def _draw(gaussians, corners, starts, places, shares, width, slopes, widths, values, out):
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        red, green, blue = values[g, 0], values[g, 1], values[g, 2]
+        opaque, larger = values[g, OPACITY], values[g, SCALE]
+        for i in range(starts[run], starts[run + 1]):
+            p, share = pixel_of(corners[run], places[i], width), shares[i]
+            more = opaque + widths[i] * larger
+            out[p, 0] += share * red + slopes[i, 0] * more
+            out[p, 1] += share * green + slopes[i, 1] * more
+            out[p, 2] += share * blue + slopes[i, 2] * more
+            out[p, VEIL] += slopes[i, VEIL] * more
 
 
 @kernel
-def _gather(pixels, gaussians, shares, slopes, widths, values, out):
-    for i in range(len(shares)):
-        g, p, share = gaussians[i], pixels[i], shares[i]
-        more = slopes[i, VEIL] * values[p, VEIL]
-        for c in range(VEIL):
-            out[g, c] += share * values[p, c]
-            more += slopes[i, c] * values[p, c]
-        out[g, OPACITY] += more
-        out[g, SCALE] += widths[i] * more
+def _gather(gaussians, corners, starts, places, shares, width, slopes, widths, values, out):
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+        opaque, larger = np.float32(0), np.float32(0)
+        for i in range(starts[run], starts[run + 1]):
+            p, share = pixel_of(corners[run], places[i], width), shares[i]
+            r, g_, b = values[p, 0], values[p, 1], values[p, 2]
+            more = slopes[i, VEIL] * values[p, VEIL]
+            more += slopes[i, 0] * r + slopes[i, 1] * g_ + slopes[i, 2] * b
+            red += share * r
+            green += share * g_
+            blue += share * b
+            opaque += more
+            larger += widths[i] * more
+        out[g, 0] += red
+        out[g, 1] += green
+        out[g, 2] += blue
+        out[g, OPACITY] += opaque
+        out[g, SCALE] += larger
 
 
 @kernel
-def _curvature(gaussians, shares, slopes, widths, out):
-    for i in range(len(shares)):
-        g, share = gaussians[i], shares[i]
-        squares = slopes[i, VEIL] * slopes[i, VEIL]
-        for c in range(VEIL):
-            out[g, c] += share * share
-            squares += slopes[i, c] * slopes[i, c]
-        out[g, OPACITY] += squares
-        out[g, SCALE] += widths[i] * widths[i] * squares
+def _curvature(gaussians, starts, shares, slopes, widths, out):
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        for i in range(starts[run], starts[run + 1]):
+            share = shares[i]
+            squares = slopes[i, VEIL] * slopes[i, VEIL]
+            for c in range(VEIL):
+                out[g, c] += share * share
+                squares += slopes[i, c] * slopes[i, c]
+            out[g, OPACITY] += squares
+            out[g, SCALE] += widths[i] * widths[i] * squares
