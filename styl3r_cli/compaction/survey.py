@@ -23,9 +23,9 @@ from styl3r_cli.splatting.compiler import in_threads, kernel
 
 # Part of a pixel that every Gaussian counts for, so that a node of hardly seen ones has a mean.
 LEAST_WEIGHT = 1e-3
-# Shares that all frames together may list: half as many again as 8 photos' 15 witnesses have.
-# Compacting takes some 45 bytes for each. Fog, and frames of 512 pixels, have more.
-MOST_SHARES = 40_000_000
+# Shares that all frames together may list: three times as many as 8 photos' 15 witnesses have, and
+# as many as 15 frames of 512 pixels. Compacting takes some 25 bytes for each. Fog has more.
+MOST_SHARES = 80_000_000
 # The power of a frame's side with which the number of its shares grows. Measured: 1.4 to 1.6 for
 # scenes of photos, whose splats are at least a pixel wide in small frames, too; 2 for fog.
 SHARES_POWER = 1.5

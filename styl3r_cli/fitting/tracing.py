@@ -177,15 +177,19 @@ def _trace(gaussians: Gaussians, camera: Camera, near: float, room: int) -> Trac
 
 @inlined
 def pixel_of(corner, place, width):
-    """The row-major index in the frame of a place in a tile."""
-    return corner + np.int64(place) // TILE * width + np.int64(place) % TILE
+    """The row-major index in the frame of a place in a tile.
+
+    Unsigned: numba checks signed ones for being negative, which takes longer than all the rest.
+    """
+    row, column = np.uintp(place) // np.uintp(TILE), np.uintp(place) % np.uintp(TILE)
+    return np.uintp(corner) + row * np.uintp(width) + column
 
 
 @kernel
 def _sum_up(gaussians, starts, shares, total, largest):
     for run in range(len(gaussians)):
         g = gaussians[run]
-        for i in range(starts[run], starts[run + 1]):
+        for i in range(np.uintp(starts[run]), np.uintp(starts[run + 1])):
             total[g] += shares[i]
             largest[g] = max(largest[g], shares[i])
 
@@ -196,7 +200,7 @@ def _draw(gaussians, corners, starts, places, shares, width, colours, out):
     for run in range(len(gaussians)):
         g = gaussians[run]
         red, green, blue = colours[g, 0], colours[g, 1], colours[g, 2]
-        for i in range(starts[run], starts[run + 1]):
+        for i in range(np.uintp(starts[run]), np.uintp(starts[run + 1])):
             p, share = pixel_of(corners[run], places[i], width), shares[i]
             out[p, 0] += share * red
             out[p, 1] += share * green
@@ -209,7 +213,7 @@ def _gather(gaussians, corners, starts, places, shares, width, values, out):
     for run in range(len(gaussians)):
         g = gaussians[run]
         a, b, c = np.float32(0), np.float32(0), np.float32(0)
-        for i in range(starts[run], starts[run + 1]):
+        for i in range(np.uintp(starts[run]), np.uintp(starts[run + 1])):
             p, share = pixel_of(corners[run], places[i], width), shares[i]
             a += share * values[p, 0]
             b += share * values[p, 1]
