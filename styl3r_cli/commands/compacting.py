@@ -66,7 +66,7 @@ def compact_scene(request: CompactRequest) -> None:
         raise InputError(f"{request.source}: it holds no Gaussians")
     views = _views(request, scene, console)
     with console.stage("compact"):
-        made, encoded = _compact(request, scene, views)
+        made, encoded = _compact(request, scene, views, console)
         made = as_written(made, scene.gaussians, encoded, request.suffix, request.threads)
     with console.stage("write"):
         if request.path is None:
@@ -113,13 +113,20 @@ def _views(request: CompactRequest, scene: Scene, console: Console) -> list[Came
 
 
 def _compact(
-    request: CompactRequest, scene: Scene, views: list[Camera]
+    request: CompactRequest, scene: Scene, views: list[Camera], console: Console
 ) -> tuple[Compaction, Encoded]:
     gaussians, threads = scene.gaussians, request.threads
     if request.keep_all:
         made = everything(gaussians, [])
         return made, encode_scene(gaussians, scene.metadata, request.suffix)
-    compactor = Compactor(gaussians, witnesses(views, gaussians), threads)
+    judges = witnesses(views, gaussians)
+    compactor = Compactor(gaussians, judges, threads)
+    asked, drawn = (max(camera.width for camera in each) for each in (judges, compactor.cameras))
+    if drawn < asked:
+        console.note(
+            f"judged from frames {drawn} pixels wide, not {asked}: so much is behind each pixel "
+            "that larger ones would take too much memory"
+        )
     if request.size is not None:
         return _within(request, scene, compactor, request.size)
     if request.count is not None:

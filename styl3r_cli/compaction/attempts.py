@@ -100,9 +100,13 @@ def attempt(
 def reshaped(
     known: Survey, made: Attempt, targets: Sequence[Target], threads: int | None
 ) -> Attempt:
-    """Change an attempt's shapes so that they look more like the scene, and measure."""
+    """Change an attempt's shapes so that they look more like the scene, and measure.
+
+    The attempt loses its traces on the way: both attempts' would take gigabytes of large scenes.
+    """
     sizes = pixel_sizes(made.gaussians, known.cameras)
     gaussians = reshape(made.gaussians, made.traces, targets, sizes, RESHAPE_STEPS, threads)
+    made.traces.clear()
     traces = look(gaussians, known.cameras, threads)
     return _measured(made.cut, gaussians, traces, targets, threads)
 

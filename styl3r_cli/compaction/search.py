@@ -73,6 +73,11 @@ class Compactor:
         self.known = survey(scene, cameras, threads, traced)
         self._begun: tuple[int, Merged] | None = None
 
+    @property
+    def cameras(self) -> list[Camera]:
+        """The witnesses, with smaller frames than asked for if those showed too much."""
+        return self.known.cameras
+
     def keep_decibels(self, colours: FloatArray, target: float) -> Compaction:
         """As few Gaussians as keep every witness's frame within `target` decibels (PSNR).
 
@@ -100,8 +105,10 @@ class Compactor:
                 made = rough = self._attempt(count, None, shown, targets, ROUGH_STEPS)
             else:
                 above = failed[-1] if failed else rough
-                made = self._attempt(count, above, shown, targets, REFIT_STEPS)
-                made = self._reshaped(made, targets, target)
+                # Nothing here holds on to what was seen before the shapes were fitted.
+                made = self._reshaped(
+                    self._attempt(count, above, shown, targets, REFIT_STEPS), targets, target
+                )
             if made.worst >= target:
                 done = made
                 if made.worst - target < WASTE:
@@ -130,8 +137,10 @@ class Compactor:
         targets, shown = self.known.targets(colours), self._shown(colours)
         first = max(1, round(BEGIN_SHARE * count))
         rough = self._attempt(first, None, shown, targets, ROUGH_STEPS)
-        made = self._attempt(count, rough, shown, targets, REFIT_STEPS)
-        return self._result(self._reshaped(made, targets, math.inf))
+        made = self._reshaped(
+            self._attempt(count, rough, shown, targets, REFIT_STEPS), targets, math.inf
+        )
+        return self._result(made)
 
     def without_unseen(self, colours: FloatArray) -> Compaction:
         """Only what no witness sees is left out, and the rest is as it was."""

@@ -15,12 +15,20 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.compaction.tree import Tree, build_tree
 from styl3r_cli.fitting.refit import Target
-from styl3r_cli.fitting.tracing import SMALLEST_SHARE, Trace, look
+from styl3r_cli.fitting.shares import SMALLEST_SHARE
+from styl3r_cli.fitting.tracing import Trace, look_within, pixel_of
+from styl3r_cli.frames import reduced
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.splatting.compiler import in_threads, kernel
 
 # Part of a pixel that every Gaussian counts for, so that a node of hardly seen ones has a mean.
 LEAST_WEIGHT = 1e-3
+# Shares that all frames together may list: three times as many as 8 photos' 15 witnesses have, and
+# as many as 15 frames of 512 pixels. Compacting takes some 25 bytes for each. Fog has more.
+MOST_SHARES = 80_000_000
+# The power of a frame's side with which the number of its shares grows. Measured: 1.4 to 1.6 for
+# scenes of photos, whose splats are at least a pixel wide in small frames, too; 2 for fog.
+SHARES_POWER = 1.5
 
 
 @dataclass(frozen=True)
@@ -29,7 +37,7 @@ class Survey:
 
     Attributes:
         scene: all G Gaussians.
-        cameras: the witnesses.
+        cameras: the witnesses; with smaller frames than asked for, if those showed too much.
         traces: what each one sees of the scene.
         seen: (S,) indices of the Gaussians that a witness sees.
         gaussians: the S seen ones.
@@ -72,7 +80,7 @@ def survey(
         threads: None for every core.
         traced: what some of the cameras see of these very Gaussians, if that is known.
     """
-    traces = _look(gaussians, cameras, threads, traced)
+    cameras, traces = _look(gaussians, cameras, threads, traced)
     weights, largest = np.zeros(len(gaussians)), np.zeros(len(gaussians), np.float32)
     for total, most in in_threads(Trace.seen, traces, threads):
         weights += total
@@ -86,7 +94,7 @@ def survey(
     if len(seen):
         contrasts = _contrasts(gaussians.colours, traces, threads)[seen]
         tree = build_tree(shown.means, shown.colours, weights, sizes, eye, contrasts, threads)
-    return Survey(gaussians, list(cameras), traces, seen, shown, weights, sizes, tree)
+    return Survey(gaussians, cameras, traces, seen, shown, weights, sizes, tree)
 
 
 def pixel_sizes(gaussians: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float64]:
@@ -106,19 +114,21 @@ def _contrasts(
 
     def contrast(each: Trace) -> NDArray[np.float64]:
         found = np.zeros(len(colours))
-        _differ(each.pixels, each.gaussians, each.shares, each.picture, colours, found)
+        _differ(*each.runs, each.places, each.shares, each.width, each.picture, colours, found)
         return found
 
     return np.sum(in_threads(contrast, traces, threads), axis=0)
 
 
 @kernel
-def _differ(pixels, gaussians, shares, picture, colours, found):
-    for i in range(len(shares)):
-        g, p = gaussians[i], pixels[i]
-        a, b = colours[g, 0] - picture[p, 0], colours[g, 1] - picture[p, 1]
-        c = colours[g, 2] - picture[p, 2]
-        found[g] += shares[i] * (a * a + b * b + c * c)
+def _differ(gaussians, corners, starts, places, shares, width, picture, colours, found):
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        for i in range(starts[run], starts[run + 1]):
+            p = pixel_of(corners[run], places[i], width)
+            a, b = colours[g, 0] - picture[p, 0], colours[g, 1] - picture[p, 1]
+            c = colours[g, 2] - picture[p, 2]
+            found[g] += shares[i] * (a * a + b * b + c * c)
 
 
 def _look(
@@ -126,14 +136,35 @@ def _look(
     cameras: Sequence[Camera],
     threads: int | None,
     traced: Sequence[tuple[Camera, Trace]],
-) -> list[Trace]:
-    """What every camera sees; those that have looked already need not do so again."""
+) -> tuple[list[Camera], list[Trace]]:
+    """What every camera sees; those that have looked already need not do so again.
+
+    What has too much behind each pixel is looked at in smaller frames: returns their cameras, too.
+    """
     known = [
         next((trace for other, trace in traced if _same(camera, other)), None) for camera in cameras
     ]
     others = [camera for camera, trace in zip(cameras, known, strict=True) if trace is None]
-    found = iter(look(gaussians, others, threads))
-    return [trace or next(found) for trace in known]
+    room = MOST_SHARES - sum(len(trace.shares) for trace in known if trace is not None)
+    found = look_within(gaussians, others, room, threads)
+    if not isinstance(found, int):
+        rest = iter(found)
+        return list(cameras), [trace or next(rest) for trace in known]
+    return _look_smaller(gaussians, cameras, threads, found + MOST_SHARES - room)
+
+
+def _look_smaller(
+    gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None, listed: int
+) -> tuple[list[Camera], list[Trace]]:
+    """Look through smaller frames than those that listed so many shares: as few as may be."""
+    side = max(max(camera.width, camera.height) for camera in cameras)
+    while True:
+        side = min(int(side * (MOST_SHARES / listed) ** (1 / SHARES_POWER)), side - 1)
+        smaller = [reduced(camera, side) for camera in cameras]
+        found = look_within(gaussians, smaller, MOST_SHARES, threads)
+        if not isinstance(found, int):
+            return smaller, found
+        listed = found
 
 
 def _same(a: Camera, b: Camera) -> bool:

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.fitting.refit import GREY, Target
-from styl3r_cli.fitting.tracing import Trace
+from styl3r_cli.fitting.tracing import Trace, pixel_of
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import in_threads, kernel
+from styl3r_cli.splatting.compiler import in_threads, inlined, kernel
 from styl3r_cli.splatting.constants import ALPHA_MAX, DILATION
 
 # A Gaussian's unknowns: three colours, and the logarithms of its opacity and of its scale.
@@ -36,19 +36,25 @@ DAMPING, LEAST_CURVATURE = np.float32(0.05), np.float32(1e-3)
 MOST_OPAQUE_CHANGE, MOST_SCALE_CHANGE = 0.5, 0.3
 LARGEST = np.float32(2.0**127)  # of scales, so that none becomes infinite
 
+_ZERO, _ALPHA_MAX = np.float32(0), np.float32(ALPHA_MAX)
+_MOST_HIDDEN = np.float32(ALPHA_MAX / (1 - ALPHA_MAX))
+
 
 @dataclass(frozen=True)
 class Slopes:
     """How a frame changes with what it shows.
 
+    The changes themselves would take four times the memory of the shares: each product works them
+    out anew, front to back.
+
     Attributes:
         seen: the frame.
-        slopes: (E, 4) change of each share's pixel with the logarithm of the Gaussian's alpha.
-        widths: (E,) change of that with the logarithm of its scale.
+        colours: (K, 3) of the Gaussians.
+        widths: (E,) change of the logarithm of each share's alpha with that of the scale.
     """
 
     seen: Trace
-    slopes: FloatArray
+    colours: FloatArray
     widths: FloatArray
 
     @classmethod
@@ -57,32 +63,36 @@ class Slopes:
 
         `own` (K,) says how much of a splat's variance is its Gaussian's, not the pixel's.
         """
-        rest = seen.picture + (GREY * seen.through)[:, None]
-        slopes = np.empty((len(seen.shares), ERRORS), np.float32)
         widths = np.empty(len(seen.shares), np.float32)
-        _differentiate(
-            seen.pixels, seen.gaussians, seen.shares, colours, opacities, own, rest,
-            np.ones(len(rest), np.float32), seen.through, slopes, widths,
-        )  # fmt: skip
-        return cls(seen, slopes, widths)
+        left = np.ones(len(seen.through), np.float32)
+        _widths(*seen.runs, seen.places, seen.shares, seen.width, opacities, own, left, widths)
+        return cls(seen, colours, widths)
 
     def draw(self, values: FloatArray) -> FloatArray:
         """(P, 4) what changes with (K, 5) unknowns."""
-        seen, out = self.seen, np.zeros((len(self.seen.picture), ERRORS), np.float32)
-        _draw(seen.pixels, seen.gaussians, seen.shares, self.slopes, self.widths, values, out)
+        out = np.zeros((len(self.seen.picture), ERRORS), np.float32)
+        _draw(*self._matrix(), values, out)
         return out
 
     def gather(self, values: FloatArray) -> FloatArray:
         """The transposed, times (P, 4): (K, 5)."""
-        seen, out = self.seen, np.zeros((self.seen.count, UNKNOWNS), np.float32)
-        _gather(seen.pixels, seen.gaussians, seen.shares, self.slopes, self.widths, values, out)
+        out = np.zeros((self.seen.count, UNKNOWNS), np.float32)
+        _gather(*self._matrix(), values, out)
         return out
 
     def curvature(self) -> FloatArray:
         """(K, 5) sums of squares of the matrix's columns."""
-        seen, out = self.seen, np.zeros((self.seen.count, UNKNOWNS), np.float32)
-        _curvature(seen.gaussians, seen.shares, self.slopes, self.widths, out)
+        out = np.zeros((self.seen.count, UNKNOWNS), np.float32)
+        _curvature(*self._matrix(), out)
         return out
+
+    def _matrix(self) -> tuple[object, ...]:
+        """What the kernels work it out from; the last two are theirs to change."""
+        seen = self.seen
+        rest = seen.picture + (GREY * seen.through)[:, None]
+        left = np.ones(len(rest), np.float32)
+        listed = *seen.runs, seen.places, seen.shares, seen.width
+        return *listed, self.widths, self.colours, seen.through, rest, left
 
     def lacks(self, target: Target) -> FloatArray:
         """(P, 4) what the frame lacks."""
@@ -173,56 +183,77 @@ def _conjugate_gradients(
     return solution
 
 
-@kernel
-def _differentiate(pixels, gaussians, shares, colours, opacities, own, rest, left, through, slopes,
-                   widths):  # fmt: skip
-    """Shares of a pixel come front to back: `rest` is what is still behind, `left` how much shows.
+@inlined
+def _slopes(share, p, red, green, blue, through, rest, left):
+    """How a share's pixel changes with the logarithm of its alpha: three colours and the veil.
 
-    A more opaque Gaussian shows more of itself, and less of what is behind.
+    Shares of a pixel come front to back: `rest` is what is still behind, `left` how much of that
+    shows. A more opaque Gaussian shows more of itself, and less of what is behind.
     """
-    for i in range(len(shares)):
-        g, p, share = gaussians[i], pixels[i], shares[i]
-        alpha = min(share / left[p], np.float32(ALPHA_MAX))
-        left[p] = max(left[p] - share, np.float32(0))
-        hides = alpha / (np.float32(1) - alpha)
-        for c in range(VEIL):
-            own_colour = share * colours[g, c]
-            rest[p, c] -= own_colour
-            slopes[i, c] = own_colour - hides * rest[p, c]
-        slopes[i, VEIL] = -VEIL_WEIGHT * hides * through[p]
-        off = max(np.float32(0), np.float32(2) * math.log(opacities[g] / alpha))
-        widths[i] = off * own[g]
+    left[p] = max(left[p] - share, _ZERO)
+    hides = min(share / left[p], _MOST_HIDDEN)  # alpha / (1 - alpha)
+    r, g, b = share * red, share * green, share * blue
+    rest[p, 0] -= r
+    rest[p, 1] -= g
+    rest[p, 2] -= b
+    r, g, b = r - hides * rest[p, 0], g - hides * rest[p, 1], b - hides * rest[p, 2]
+    return r, g, b, -VEIL_WEIGHT * hides * through[p]
 
 
 @kernel
-def _draw(pixels, gaussians, shares, slopes, widths, values, out):
-    for i in range(len(shares)):
-        g, p, share = gaussians[i], pixels[i], shares[i]
-        more = values[g, OPACITY] + widths[i] * values[g, SCALE]
-        for c in range(VEIL):
-            out[p, c] += share * values[g, c] + slopes[i, c] * more
-        out[p, VEIL] += slopes[i, VEIL] * more
+def _widths(gaussians, corners, starts, places, shares, width, opacities, own, left, widths):
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        for i in range(np.uintp(starts[run]), np.uintp(starts[run + 1])):
+            p, share = pixel_of(corners[run], places[i], width), shares[i]
+            alpha = min(share / left[p], _ALPHA_MAX)
+            left[p] = max(left[p] - share, _ZERO)
+            widths[i] = max(_ZERO, np.float32(2) * math.log(opacities[g] / alpha)) * own[g]
 
 
 @kernel
-def _gather(pixels, gaussians, shares, slopes, widths, values, out):
-    for i in range(len(shares)):
-        g, p, share = gaussians[i], pixels[i], shares[i]
-        more = slopes[i, VEIL] * values[p, VEIL]
-        for c in range(VEIL):
-            out[g, c] += share * values[p, c]
-            more += slopes[i, c] * values[p, c]
-        out[g, OPACITY] += more
-        out[g, SCALE] += widths[i] * more
+def _draw(gaussians, corners, starts, places, shares, width, widths, colours, through, rest, left,
+          values, out):  # fmt: skip
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        red, green, blue = colours[g, 0], colours[g, 1], colours[g, 2]
+        for i in range(np.uintp(starts[run]), np.uintp(starts[run + 1])):
+            p, share = pixel_of(corners[run], places[i], width), shares[i]
+            r, gr, b, veil = _slopes(share, p, red, green, blue, through, rest, left)
+            more = values[g, OPACITY] + widths[i] * values[g, SCALE]
+            out[p, 0] += share * values[g, 0] + r * more
+            out[p, 1] += share * values[g, 1] + gr * more
+            out[p, 2] += share * values[g, 2] + b * more
+            out[p, VEIL] += veil * more
 
 
 @kernel
-def _curvature(gaussians, shares, slopes, widths, out):
-    for i in range(len(shares)):
-        g, share = gaussians[i], shares[i]
-        squares = slopes[i, VEIL] * slopes[i, VEIL]
-        for c in range(VEIL):
-            out[g, c] += share * share
-            squares += slopes[i, c] * slopes[i, c]
-        out[g, OPACITY] += squares
-        out[g, SCALE] += widths[i] * widths[i] * squares
+def _gather(gaussians, corners, starts, places, shares, width, widths, colours, through, rest, left,
+            values, out):  # fmt: skip
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        red, green, blue = colours[g, 0], colours[g, 1], colours[g, 2]
+        for i in range(np.uintp(starts[run]), np.uintp(starts[run + 1])):
+            p, share = pixel_of(corners[run], places[i], width), shares[i]
+            r, gr, b, veil = _slopes(share, p, red, green, blue, through, rest, left)
+            more = r * values[p, 0] + gr * values[p, 1] + b * values[p, 2] + veil * values[p, VEIL]
+            for c in range(VEIL):
+                out[g, c] += share * values[p, c]
+            out[g, OPACITY] += more
+            out[g, SCALE] += widths[i] * more
+
+
+@kernel
+def _curvature(gaussians, corners, starts, places, shares, width, widths, colours, through, rest,
+               left, out):  # fmt: skip
+    for run in range(len(gaussians)):
+        g = gaussians[run]
+        red, green, blue = colours[g, 0], colours[g, 1], colours[g, 2]
+        for i in range(np.uintp(starts[run]), np.uintp(starts[run + 1])):
+            p, share = pixel_of(corners[run], places[i], width), shares[i]
+            r, gr, b, veil = _slopes(share, p, red, green, blue, through, rest, left)
+            squares = r * r + gr * gr + b * b + veil * veil
+            for c in range(VEIL):
+                out[g, c] += share * share
+            out[g, OPACITY] += squares
+            out[g, SCALE] += widths[i] * widths[i] * squares

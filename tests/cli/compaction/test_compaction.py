@@ -19,7 +19,7 @@ from styl3r_cli.compaction import (
 )
 from styl3r_cli.compaction import attempts as attempting
 from styl3r_cli.compaction import survey as surveying
-from styl3r_cli.fitting.tracing import Trace, look
+from styl3r_cli.fitting.tracing import Trace, look, look_within
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.splatting import render
 
@@ -135,11 +135,13 @@ def test_what_is_known_need_not_be_traced_again(
 ) -> None:
     looked: list[int] = []
 
-    def counted(gaussians: Gaussians, cameras: list[Camera], threads: int | None) -> list[Trace]:
+    def counted(
+        gaussians: Gaussians, cameras: list[Camera], most: int, threads: int | None
+    ) -> list[Trace] | int:
         looked.append(len(cameras))
-        return look(gaussians, cameras, threads)
+        return look_within(gaussians, cameras, most, threads)
 
-    monkeypatch.setattr(surveying, "look", counted)
+    monkeypatch.setattr(surveying, "look_within", counted)
     known = list(zip(cameras[:2], look(scene, cameras[:2], 1), strict=True))
     shared = surveying.survey(scene, cameras, 1, known)
     alone = surveying.survey(scene, cameras, 1)
@@ -161,6 +163,24 @@ def test_a_scene_without_cameras_is_seen_from_around(scene: Gaussians) -> None:
     assert len(around) > 4
     made = keep_count(scene, around, len(scene) // 3)
     assert 0 < len(made.gaussians) <= len(scene) // 3
+
+
+def test_what_shows_too_much_is_judged_from_smaller_frames(
+    scene: Gaussians, cameras: list[Camera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = sum(len(each.shares) for each in look(scene, cameras, None))
+    monkeypatch.setattr(surveying, "MOST_SHARES", whole // 5)
+    known = list(zip(cameras[:1], look(scene, cameras[:1], 1), strict=True))
+    made = [Compactor(scene, cameras, threads, known) for threads in (1, 3)]
+    for each in made:
+        listed = sum(len(trace.shares) for trace in each.known.traces)
+        assert whole // 20 < listed <= whole // 5
+        assert [camera.width for camera in each.cameras] == [made[0].cameras[0].width] * len(
+            cameras
+        )
+    result = made[0].keep_decibels(scene.colours, 30.0)
+    assert result.worst >= 30
+    assert result.cameras == made[0].cameras
 
 
 def test_a_camera_that_sees_nothing_keeps_nothing_amiss(scene: Gaussians) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.fitting.tracing import SMALLEST_SHARE, trace
+from styl3r_cli.fitting.shares import SMALLEST_SHARE
+from styl3r_cli.fitting.tracing import trace
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.splatting import render
 from styl3r_cli.splatting.projection import near_plane
@@ -61,7 +62,8 @@ def test_shares_of_a_pixel_and_what_comes_through_make_one(
     scene: Gaussians, cameras: list[Camera]
 ) -> None:
     seen = trace(scene, cameras[0], near_plane(scene.means))
-    sums = np.bincount(seen.pixels, seen.shares, len(seen.through)) + seen.through
+    white = np.ones((len(scene), 3), np.float32)
+    sums = seen.draw(white)[:, 0] + seen.through
     np.testing.assert_allclose(sums, 1, atol=20 * SMALLEST_SHARE)
     total, largest = seen.seen()
     assert total.sum() == pytest.approx(seen.shares.sum(), rel=1e-5)
