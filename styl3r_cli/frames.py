@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,18 +162,24 @@ def draw_path(
     yield from draw(colours(gaussians, Drawing(background, threads)), list(cameras), drawn)
 
 
-def write_picture(path: Path, picture: Picture) -> None:
-    """Write one picture as PNG or JPEG, by its suffix; it appears whole or not at all.
+def write_picture(path: Path, picture: Picture, kind: str) -> None:
+    """Write one picture; it appears whole or not at all.
+
+    Args:
+        path: where to write.
+        picture: (H, W, 3) uint8 sRGB, or (H, W, 4) with straight alpha.
+        kind: "png", which alone keeps alpha, or "jpg".
 
     Raises:
         OutputError: it cannot be written.
     """
     from PIL import Image
 
-    kind = "PNG" if path.suffix.lower() == ".png" else "JPEG"
-    options = {} if kind == "PNG" else {"quality": JPEG_QUALITY, "subsampling": "4:4:4"}
-    with atomic_write(path) as temporary:
-        Image.fromarray(picture).save(temporary, format=kind, **options)
+    options: dict[str, Any] = {"format": "PNG"}
+    if kind != "png":
+        options = {"format": "JPEG", "quality": JPEG_QUALITY, "subsampling": "4:4:4"}
+    with atomic_write(path) as temporary, temporary.open("wb") as file:  # may be a pipe
+        Image.fromarray(picture).save(file, **options)
 
 
 def enlarged(camera: Camera, side: int) -> Camera:

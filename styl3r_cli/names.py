@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from styl3r_cli.pipes import is_pipe
+
 
 def user_path(text: str | Path) -> Path:
     """The path with `~` and `~user` understood; of a user who is not there, as it is.
@@ -15,8 +17,13 @@ def user_path(text: str | Path) -> Path:
 
 
 def real_path(path: Path) -> Path:
-    """The path without links; a loop of links ends in a link again (pathlib's own raises)."""
+    """The path without links; a loop of links ends in a link again (pathlib's own raises).
+
+    A link of the system's to a pipe stays: what /dev/stdout, or the /dev/fd/63 of a shell's
+    `>(program)`, leads to has no name in any folder.
+    """
     try:
-        return Path(os.path.realpath(path))
+        real = Path(os.path.realpath(path))
     except (OSError, ValueError):  # this process's folder was removed; a NUL in the name
         return path
+    return path if is_pipe(path) and not is_pipe(real) else real

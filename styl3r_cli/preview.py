@@ -61,8 +61,8 @@ def write_preview(path: Path, preview: Preview, title: str, threads: int | None 
         OutputError: the file cannot be written.
     """
     sheet = draw_sheet(title, _rows(preview, threads))
-    with atomic_write(path) as temporary:
-        sheet.save(temporary, format="PNG")
+    with atomic_write(path) as temporary, temporary.open("wb") as file:  # may be a pipe
+        sheet.save(file, format="PNG")
 
 
 def _rows(preview: Preview, threads: int | None) -> list[Row]:

@@ -31,6 +31,8 @@ from styl3r_cli.files import atomic_write
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # distortion apart
+# Instant NGP's names of other lenses; the second coefficient, as the first of a lens may be 0.
+OTHER_LENSES = ("is_fisheye", "ftheta_p1", "latlong", "equirectangular", "orthographic")
 WRITTEN_MODEL = "OPENCV"  # nerfstudio's name for a perspective camera
 
 
@@ -196,10 +198,10 @@ def frame_entry(camera: Camera, file_path: str) -> dict[str, Any]:
 
 def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> Camera:
     model = values.get("camera_model", WRITTEN_MODEL)
-    if model not in PINHOLES:
-        raise InputError(
-            f"{where}: camera_model {shown(model)} is no perspective camera; undistort it"
-        )
+    others = [f"'{lens}'" for lens in OTHER_LENSES if values.get(lens)]
+    if model not in PINHOLES or others:
+        kind = others[0] if others else f"camera_model {shown(model)}"
+        raise InputError(f"{where}: {kind} is no perspective camera; undistort it")
     width, height = _size(values, size, where)
     fx = _focal(values, "fl_x", "camera_angle_x", width, where)
     fy = _focal(values, "fl_y", "camera_angle_y", height, where)
@@ -236,7 +238,9 @@ def _focal(
     values: dict[str, Any], key: str, angle_key: str, side: float, where: str
 ) -> float | None:
     focal, angle = number(values, key, where), number(values, angle_key, where)
-    if focal is None and angle is not None and 0 < angle < math.pi:
+    if focal is None and angle is not None:
+        if not 0 < angle < math.pi:
+            raise InputError(f"{where}: '{angle_key}' is {angle:g}, not an angle in radians")
         focal = side / 2 / math.tan(angle / 2)
     if focal is not None and not is_lens(focal, side):
         raise InputError(

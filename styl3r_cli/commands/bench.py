@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from styl3r_cli.gaussians import Gaussians
 
 GAUSSIANS = (32_768, 131_072, 524_288)  # a quarter of a scene from 2 photos, 2, and 8
+MOST_GAUSSIANS = 100_000_000  # 6 GB; far more than any scene has
 SIZES = ((256, 256), (512, 512), (1920, 1080))
 REPEATS = 5
 TWIN_SECONDS = 20.0
@@ -66,7 +67,7 @@ def command() -> None:
 @click.argument("scene", required=False, type=FILE, metavar="[SCENE]")
 @click.option(
     "--gaussians",
-    type=ListOf(click.IntRange(min=1)),
+    type=ListOf(click.IntRange(1, MOST_GAUSSIANS)),
     metavar="N,...",
     help="How many; by default all of SCENE's, or " + ",".join(map(str, GAUSSIANS)) + ".",
 )

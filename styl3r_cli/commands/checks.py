@@ -10,6 +10,7 @@ from pathlib import Path
 from styl3r_cli.errors import OutputError, UsageError
 from styl3r_cli.files import STDOUT_CLOSED, stdout_is_closed
 from styl3r_cli.names import real_path
+from styl3r_cli.pipes import is_pipe
 
 
 def check_outputs(
@@ -89,7 +90,7 @@ def _is_stdout(target: Path) -> bool:
 
 
 def _check_place(path: Path, target: Path) -> None:
-    if target.is_symlink():
+    if target.is_symlink() and not is_pipe(target):
         raise OutputError(f"cannot write {path}: a loop of links")
     if target.is_dir():
         raise OutputError(f"cannot write {path}: it is a folder; name a file in it")

@@ -119,7 +119,7 @@ def _write(request: RenderRequest, look: Look, shots: Shots, drawn: Callable[[],
         return
     names = frame_names(request.file, len(shots.cameras))
     for name, picture in zip(names, pictures, strict=True):
-        write_picture(name, picture)
+        write_picture(name, picture, request.kind)
 
 
 def _write_linear(

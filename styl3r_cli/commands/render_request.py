@@ -8,6 +8,7 @@ from pathlib import Path
 
 from styl3r_cli.commands.checks import check_outputs, check_stdout, check_suffix, make_folder
 from styl3r_cli.commands.options import STDOUT
+from styl3r_cli.commands.scene_file import check_two
 from styl3r_cli.errors import UsageError
 from styl3r_cli.frames import SURROUNDINGS, Background, Colour
 from styl3r_cli.movies import FILES as MOVIES
@@ -135,6 +136,7 @@ def check(request: RenderRequest) -> None:
         OutputError: the place cannot be written to.
     """
     _check_kind(request)
+    check_two(request.scene, request.compare)
     outputs = [request.save_path] if request.save_path else []
     makes: list[Path] = []
     for path in outputs:  # a file of anything else is named by mistake, and would be lost

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from styl3r_cli.commands.options import STDOUT
-from styl3r_cli.errors import InputError
+from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.files import read_file, read_stdin
 from styl3r_cli.formats import Scene, read_scene, recognise, scene_suffix
 from styl3r_cli.names import user_path
@@ -26,6 +26,16 @@ class SceneFile:
     scene: Scene
     suffix: str
     size: int
+
+
+def check_two(source: str, other: Path | None) -> None:
+    """Make sure that two scenes do not both come from standard input, which is there once.
+
+    Raises:
+        UsageError: they do.
+    """
+    if source == STDOUT and other == Path(STDOUT):
+        raise UsageError("--compare -: standard input is one scene; name a file for the other")
 
 
 def load(source: str, kind: str | None = None) -> SceneFile:

@@ -67,11 +67,12 @@ def command(
         raise UsageError("view needs viser; install it with: pip install 'styl3r[view]'")
     from styl3r_cli.cameras.stored import cameras_from_metadata
     from styl3r_cli.commands.checks import check_printable
-    from styl3r_cli.commands.scene_file import load
+    from styl3r_cli.commands.scene_file import check_two, load
     from styl3r_cli.console import Console
     from styl3r_cli.viewer.server import serving
 
     check_printable()
+    check_two(source, compare)
     console = Console(quiet)
     address = find_address(host, port)
     sources = [source, str(compare)] if compare else [source]

@@ -140,6 +140,13 @@ def test_a_scene_of_ones_own(tmp_path: Path) -> None:
     assert isinstance(bench(tmp_path / "none.ply", *arguments).exception, InputError)
 
 
+@pytest.mark.parametrize("count", [2**31, 10**400])
+def test_more_gaussians_than_memory_holds_are_refused(count: int) -> None:
+    result = bench("--gaussians", count, "--sizes", 16, "--twin-seconds", 0)
+    assert result.exit_code == 2, result.exception
+    assert "not in the range" in result.stderr
+
+
 @pytest.mark.parametrize(
     "arguments", [("--sizes", "0"), ("--gaussians", "1,x"), ("--threads", "0"), ("--repeats", "0")]
 )

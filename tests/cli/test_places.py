@@ -218,6 +218,35 @@ def test_what_a_shell_gives_as_a_file(
     )
 
 
+THROUGH = [
+    ("$S convert s.ply >(cat > got) --to ply -q", "s.ply"),
+    ("$S convert s.ply /dev/stdout --to ply -q | cat > got", "s.ply"),
+    ("$S render s.ply --frames 3 -o >(cat > got) --format y4m -q", "a.y4m"),
+    ("$S render s.ply --frames 3 -o >(cat > got) --format mp4 -q", "a.mp4"),
+    ("$S render s.ply --frames 1 -o >(cat > got) --format png -q", "a.png"),
+    ("cat p.mp4 > got & $S render s.ply --frames 3 -o p.mp4 -q", "a.mp4"),
+]
+
+
+@linux
+@pytest.mark.parametrize(("line", "same"), THROUGH)
+def test_results_go_into_pipes_that_have_no_name_of_their_own(
+    here: Path, line: str, same: str
+) -> None:
+    """`>(program)` is a pipe called /dev/fd/63, and so may /dev/stdout be: links of the system."""
+    os.mkfifo("p.mp4")
+    if same != "s.ply":
+        count = "1" if same == "a.png" else "3"
+        assert main.run(["render", "s.ply", "--frames", count, "-o", same, "-q"]) == 0
+    environment = os.environ | {"S": f"{sys.executable} -m styl3r_cli"}
+    # Bash does not wait for what `>(...)` started by itself.
+    script = f"set -o pipefail; {line}; code=$?; sleep 0.3; exit $code"
+    shell = {"env": environment, "capture_output": True, "check": False, "timeout": 120}
+    result = subprocess.run(["bash", "-c", script], **shell)  # type: ignore[call-overload]
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert Path("got").read_bytes() == Path(same).read_bytes()
+
+
 @linux
 def test_a_named_pipe_waits_for_its_other_end(here: Path) -> None:
     """Also for a program that comes a little later; what goes through is all of it."""

@@ -409,6 +409,22 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
     assert len(video_frames(tmp_path / "v.mp4")) == 2
 
 
+@pytest.mark.parametrize("name", ["%d", "%d.jpg"])
+def test_the_format_that_is_asked_for_is_written_under_any_name(
+    run: Run, scene: Path, tmp_path: Path, name: str
+) -> None:
+    words = ("--frames", 2, "--size", 16, "--background", "transparent", "--format", "png")
+    code, error = run(scene, "-o", tmp_path / "png" / name, *words)
+    assert code == 0, error
+    for path in (tmp_path / "png").iterdir():
+        with Image.open(path) as picture:
+            assert (picture.format, picture.mode) == ("PNG", "RGBA")
+    words = ("--frames", 1, "--size", 16, "--format", "jpg")
+    assert run(scene, "-o", tmp_path / "a.png", *words)[0] == 0
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.format == "JPEG"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -426,6 +442,7 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
         (["{scene}", "-o", "x.mp4", "--path", "moon.json"], 3, "moon.json"),
         (["{scene}", "-o", "x.mp4", "--arc", "90"], 2, "orbit"),
         (["{scene}", "-o", "x.mp4", "--compare", "no.ply"], 3, "no.ply"),
+        (["-", "-o", "x.mp4", "--compare", "-"], 2, "standard input is one scene"),
         (["{scene}", "-o", "x.mp4", "--compare", "{scene}", "--show", "both"], 2, "no room"),
         (["{scene}", "-o", "x.gif", "--fps", "60", "--frames", "2"], 2, "at most 50"),
         (["{scene}", "-o", "x.gif", "--fps", "1e-9", "--frames", "2"], 2, "0.01 or more"),

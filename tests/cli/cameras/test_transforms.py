@@ -104,6 +104,12 @@ def test_distortion_is_ignored_with_a_note() -> None:
     assert "lens distortion in 1 frames is ignored" in note
 
 
+def test_lenses_that_a_file_says_it_has_not_are_no_reason_to_refuse_it() -> None:
+    """Instant NGP writes `is_fisheye: false` beside every lens that is none."""
+    (found,) = read_transforms(file(frame(), is_fisheye=False, latlong=None)).cameras
+    assert found.fx == SHARED["fl_x"]
+
+
 def test_three_rows_and_six_digits_are_enough() -> None:
     seen = camera([0.3, -0.2, 0.9], [1, 2, 3])
     rows = np.linalg.inv(seen.extrinsics) @ np.diag([1, -1, -1, 1])
@@ -140,6 +146,11 @@ MIRRORED = np.diag([-1.0, 1, 1, 1]).tolist()
         (file(frame(), w=None), "no 'w' and 'h'"),
         (file(frame(), fl_x=None, fl_y=None), "no focal length"),
         (file(frame(), camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no perspective camera"),
+        (file(frame(), is_fisheye=True), "frame 1: 'is_fisheye' is no perspective camera"),
+        (file(frame(), frame(latlong=True)), "frame 2: 'latlong' is no perspective camera"),
+        (file(frame(), ftheta_p1=0.1), "'ftheta_p1' is no perspective camera"),
+        (file(frame(), fl_x=None, fl_y=None, camera_angle_x=60), "'camera_angle_x' is 60, not"),
+        (file(frame(), fl_x=None, camera_angle_x=-0.9), "'camera_angle_x' is -0.9, not"),
         (file("a.jpg"), "frame 1: not an object"),  # type: ignore[arg-type]
     ],
 )
