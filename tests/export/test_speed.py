@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
-from test_onnx_export import PROVENANCE, SMALL
+from small_network import PROVENANCE, SMALL
 from tiny_model import APPEARANCE_GRAPH, write_model
 
 from styl3r_cli.errors import ModelError
