@@ -36,7 +36,15 @@ HIDDEN = {"man": ("man", "The manual page: styl3r man | man -l -")}
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
 COMPLETION = "_STYL3R_COMPLETE"  # click's; what else a shell sets then may be missing or wrong
 FOR_SHELLS = f"{COMPLETION} is for shells: see styl3r completion --help"
-OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
+OUT_OF_MEMORY = "out of memory"
+SMALLER = "; try a smaller --size, or fewer and smaller photos"
+# What else there is to say of it, where a command has options for that.
+ADVICE = {
+    "stylize": SMALLER,
+    "reconstruct": SMALLER,
+    "render": "; try a smaller --size",
+    "tradeoff": "; try fewer and smaller photos",
+}
 
 
 # What writing fails with: a full disk, a terminal that is gone, a stream that is for reading.
@@ -195,7 +203,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get(DEBUG) == "1":
             raise
         if memory.ended(error):
-            return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
+            given = sys.argv[1:] if arguments is None else arguments
+            named = next((word for word in given if word in COMMANDS), "")
+            return _fail(OUT_OF_MEMORY + ADVICE.get(named, ""), ExitCode.INTERNAL)
         if os.environ.get(COMPLETION):
             return _fail(FOR_SHELLS, ExitCode.USAGE)
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
