@@ -425,6 +425,14 @@ def test_the_format_that_is_asked_for_is_written_under_any_name(
         assert picture.format == "JPEG"
 
 
+def test_frames_of_a_longer_film_that_stay_are_told(run: Run, scene: Path, tmp_path: Path) -> None:
+    shared = ("--size", 16, "-o", tmp_path / "%02d.png")
+    assert run(scene, "--frames", 4, *shared) == (0, "")
+    code, err = run(scene, "--frames", 2, *shared)
+    assert (code, len(list(tmp_path.glob("*.png")))) == (0, 4)
+    assert err == f"styl3r: {tmp_path / '02.png'} is of an earlier film, and stays\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -472,6 +480,8 @@ def test_the_format_that_is_asked_for_is_written_under_any_name(
         (["{scene}", "-o", "x.mp4", "--background", "greenish"], 2, "greenish"),
         (["{scene}", "-o", "x.mp4", "--background", "rgba(1,2,3,9)"], 2, "rgba(1,2,3,9)"),
         (["{scene}", "-o", "x.mp4", "--background", ""], 2, "not a colour"),
+        (["{scene}", "-o", "x.mp4", "--background", "rgb(300,0,0)"], 2, "rgb(300,0,0)"),
+        (["{scene}", "-o", "x.mp4", "--background", "hsl(0,200%,50%)"], 2, "not a colour"),
         (["{scene}", "-o", "x.mp4", "--cameras", "{cameras}", "--frames", "3"], 2, "--path"),
         (["{scene}", "-o", "x.mp4", "--cameras", "no.json"], 3, "no.json"),
         (["{foreign}", "-o", "x.mp4", "--path", "interpolate"], 2, "interpolate"),
