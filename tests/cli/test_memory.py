@@ -57,6 +57,7 @@ def test_memory_that_ends_is_no_bug(
     [
         ("reconstruct x.jpg -o x.ply", "; try a smaller --size, or fewer and smaller photos"),
         ("render x.ply -o x.mp4", "; try a smaller --size"),
+        ("bench render", "; try smaller --sizes, or fewer --gaussians"),
         ("info x.ply", ""),
         ("convert x.ply x.spz", ""),
     ],
