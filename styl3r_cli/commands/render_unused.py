@@ -9,7 +9,7 @@ from styl3r_cli.commands.render_request import LINEAR, RenderRequest
 from styl3r_cli.errors import UsageError
 
 ALONE = "needs --path; a camera file alone has its own frames"
-NO_STOPS = "needs --frames; a file that --path names has its own frames else"
+NO_STOPS = "needs --frames; without it, the frames are those of the file that --path names"
 EXR = "is for EXR frames (.exr)"
 
 
