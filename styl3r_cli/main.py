@@ -36,7 +36,16 @@ HIDDEN = {"man": ("man", "The manual page: styl3r man | man -l -")}
 DEBUG = "STYL3R_DEBUG"  # set to 1, a bug shows its traceback
 COMPLETION = "_STYL3R_COMPLETE"  # click's; what else a shell sets then may be missing or wrong
 FOR_SHELLS = f"{COMPLETION} is for shells: see styl3r completion --help"
-OUT_OF_MEMORY = "out of memory; try a smaller --size, or fewer and smaller photos"
+OUT_OF_MEMORY = "out of memory"
+SMALLER = "; try a smaller --size, or fewer and smaller photos"
+# What else there is to say of it, where a command has options for that.
+ADVICE = {
+    "stylize": SMALLER,
+    "reconstruct": SMALLER,
+    "render": "; try a smaller --size",
+    "bench": "; try smaller --sizes, or fewer --gaussians",
+    "tradeoff": "; try fewer and smaller photos",
+}
 
 
 # What writing fails with: a full disk, a terminal that is gone, a stream that is for reading.
@@ -163,6 +172,7 @@ def _fill_standard_streams() -> None:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return the exit code; failures are told on stderr."""
+    given = sys.argv[1:] if arguments is None else arguments
     asked = os.environ.get(console.LOG) or console.LOG_FORMATS[0]
     console.use_format(asked)
     if asked not in console.LOG_FORMATS:
@@ -182,9 +192,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         click.echo(error.format_message(), err=True)
         return ExitCode.USAGE
     except click.ClickException as error:
-        if _asks_for_json(sys.argv[1:] if arguments is None else arguments):
+        if _asks_for_json(given):
             console.use_format("json")
-        return _fail(_usage_message(error), ExitCode.USAGE)
+        return _fail(_usage_message(error, _named(given)), ExitCode.USAGE)
     except (KeyboardInterrupt, click.Abort):
         return ExitCode.INTERRUPTED
     except SystemExit as asked:  # click's, of a shell or a wish that it does not know
@@ -195,7 +205,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get(DEBUG) == "1":
             raise
         if memory.ended(error):
-            return _fail(OUT_OF_MEMORY, ExitCode.INTERNAL)
+            return _fail(OUT_OF_MEMORY + ADVICE.get(_named(given), ""), ExitCode.INTERNAL)
         if os.environ.get(COMPLETION):
             return _fail(FOR_SHELLS, ExitCode.USAGE)
         if isinstance(error, OSError) and error.filename:  # a name that no file can have, say
@@ -207,11 +217,16 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return result if isinstance(result, int) else ExitCode.SUCCESS
 
 
-def _usage_message(error: click.ClickException) -> str:
+def _named(arguments: Sequence[str]) -> str:
+    """The command that a command line names; empty for none."""
+    return next((word for word in arguments if word in COMMANDS), "")
+
+
+def _usage_message(error: click.ClickException, command: str) -> str:
     """Click's message in one line, with the way to the right help."""
-    message = error.format_message().strip().rstrip(".")
-    context = getattr(error, "ctx", None)
-    path = context.command_path if context else console.PROGRAM
+    message = error.format_message().strip().rstrip(".").replace("\n\t", " ")
+    context = getattr(error, "ctx", None)  # missing where an option has no value
+    path = context.command_path if context else f"{console.PROGRAM} {command}".strip()
     return f"{message} (see {path} --help)"
 
 

@@ -29,6 +29,7 @@ from styl3r_cli.files import atomic_write
 
 # nerfstudio's cameras look along -z with y up (OpenGL); ours along z with y down (OpenCV).
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+LENS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # distortion apart
 # Instant NGP's names of other lenses; the second coefficient, as the first of a lens may be 0.
@@ -115,7 +116,9 @@ def transforms_of(
         where = f"{name}: frame {index + 1}"
         if not isinstance(frame, dict):
             raise InputError(f"{where}: not an object")
-        values = {**content, **frame}
+        # An angle alone is a frame's whole lens: the file's lengths would beat it, or squash it.
+        own = frame.get("camera_angle_x") is not None and frame.get("fl_x") is None
+        values = {**{k: v for k, v in content.items() if not (own and k in LENS)}, **frame}
         cameras.append(_camera(values, size, where))
         file_paths.append(str(frame.get("file_path", "")))
         depth_paths.append(str(frame.get("depth_file_path") or ""))

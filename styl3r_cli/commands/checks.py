@@ -44,7 +44,9 @@ def check_outputs(
             raise UsageError(f"{path} would be two results; give each a file of its own")
         taken.add(target)
         try:
-            if target.parent not in made:
+            if target.parent in made:
+                _above(target.parent).joinpath(target.name).exists()  # or its name is too long
+            else:
                 _check_place(path, target)
         except OSError as error:
             raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
@@ -67,7 +69,7 @@ def _is_there(folder: Path) -> bool:
     try:
         if folder.is_dir():
             return True
-        above = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+        above = _above(folder)
     except OSError as error:
         raise OutputError(_cannot_make(folder, error.strerror)) from error
     if not above.is_dir():
@@ -75,6 +77,11 @@ def _is_there(folder: Path) -> bool:
     if not os.access(above, os.W_OK | os.X_OK):
         raise OutputError(_cannot_make(folder, "Permission denied"))
     return False
+
+
+def _above(folder: Path) -> Path:
+    """The nearest place above a folder, itself included, that exists."""
+    return next(place for place in (folder, *folder.absolute().parents) if place.exists())
 
 
 def _cannot_make(folder: Path, why: str | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,11 +43,19 @@ def outputs_of(request: SceneRequest) -> list[Path]:
 
 
 def check_each(request: SceneRequest) -> None:
-    """Refuse names that several scenes would share.
+    """Refuse names that several scenes would share, and what means nothing to one style alone.
 
     Raises:
-        UsageError: an output has no place for the style's name.
+        UsageError: an output has no place for the style's name, or the cameras' file has one; a
+            style has a weight.
     """
+    for style in request.styles:
+        if style.weight != 1:
+            raise UsageError(f"--style {style.path}: weights are for a blend; --each makes none")
+    if request.cameras_out is not None and PLACE in request.cameras_out.name:
+        raise UsageError(
+            f"--cameras-out {request.cameras_out}: one file for all styles; leave {PLACE} out"
+        )
     if request.output == STDOUT:
         raise UsageError(f"--each writes several scenes; name them -o DIR/{PLACE}.ply")
     for option, path in (
@@ -59,14 +68,19 @@ def check_each(request: SceneRequest) -> None:
 
 
 def _names(styles: tuple[WeightedStyle, ...]) -> list[str]:
-    """A name per style: its file's, with a number where that is taken."""
-    names: list[str] = []
+    """A name per style: its file's, with a number where that is taken on any file system."""
+    names: dict[str, str] = {}
     for style in styles:
         name, number = style.path.stem, 2
-        while name in names:
+        while _folded(name) in names:
             name, number = f"{style.path.stem}-{number}", number + 1
-        names.append(name)
-    return names
+        names[_folded(name)] = name
+    return list(names.values())
+
+
+def _folded(name: str) -> str:
+    """Equal for names that macOS or Windows take for one: of other case, say."""
+    return unicodedata.normalize("NFC", name.casefold())
 
 
 def _named(pattern: Path | None, name: str) -> Path | None:

@@ -15,6 +15,7 @@ from styl3r_cli.commands.render_request import (
     check_frames,
     check_size,
     frame_names,
+    stays_behind,
 )
 from styl3r_cli.commands.scene_file import load
 from styl3r_cli.commands.shots import Shots, plan_shots
@@ -57,6 +58,8 @@ def film(request: RenderRequest, quiet: bool) -> None:
         first = shots.cameras[0]
         check_size(request, first.width, first.height)
         check_frames(request, len(shots.cameras))
+        if left := stays_behind(request, len(shots.cameras)):
+            console.note(f"{left} is of an earlier film, and stays")
         count = len(scene.gaussians) + (len(other.gaussians) if other else 0)
         area = first.width * first.height * request.beside
         limits.check(needs.drawing(area, count, request.kind in MOVIES))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from styl3r_cli.commands.options import (
     LOOP_FPS,
@@ -196,15 +197,16 @@ def command(speed: str | None, quiet: bool, **options: Any) -> None:
     """Draw a scene along a camera path, or from the cameras of a file."""
     from styl3r_cli.commands.filming import film
     from styl3r_cli.commands.render_request import RenderRequest
+    from styl3r_cli.commands.render_unused import check_used
 
-    path, cameras = options.pop("path"), options["cameras"]
-    if options["frames"] is not None and cameras is not None and path is None:
-        raise click.UsageError("--frames needs --path; a camera file alone has its own frames")
-    if options["arc"] is not None and path != "orbit":
-        raise click.UsageError("--arc is for --path orbit")
-    if options["compare"] and options["show"] == "both":
-        raise click.UsageError("--show both has no room for --compare; show colour or depth")
-    if path is None and cameras is None:
-        path = DEFAULT_PATH
+    if options["path"] is None and options["cameras"] is None:
+        options["path"] = DEFAULT_PATH
     eased = None if speed is None else speed == "eased"
-    film(RenderRequest(path=path, eased=eased, **options), quiet)
+    request = RenderRequest(eased=eased, **options)
+    context = click.get_current_context()
+    check_used(request, {name for name in options | {"speed": 0} if _is_given(context, name)})
+    film(request, quiet)
+
+
+def _is_given(context: click.Context, option: str) -> bool:
+    return context.get_parameter_source(option) == ParameterSource.COMMANDLINE

@@ -121,7 +121,8 @@ def parse_colour(text: str) -> Colour:
         values: tuple[int, ...] = ImageColor.getrgb(text)
     except ValueError:
         values = ()
-    if len(values) != 3:  # colours that are half transparent are none: a background is opaque
+    # Colours that are half transparent are none, as a background is opaque; nor are brighter ones.
+    if len(values) != 3 or max(values) > 255:
         message = f"--background '{text}': not a colour such as white, #203040 or rgb(32,48,64)"
         raise UsageError(message)
     red, green, blue = values
@@ -163,6 +164,12 @@ def check_frames(request: RenderRequest, count: int) -> None:
     if not request.one_file:
         others = [request.save_path] if request.save_path else []
         check_outputs([*others, *frame_names(request.file, count)], _inputs(request))
+
+
+def stays_behind(request: RenderRequest, count: int) -> Path | None:
+    """The frame of an earlier, longer film that would follow on these; None without one."""
+    after = numbered(request.file, count) if _is_numbered(request) else None
+    return after if after and after.exists() else None
 
 
 def _is_numbered(request: RenderRequest) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 
 from styl3r_cli.errors import InputError
@@ -18,6 +19,8 @@ def parse_list(data: bytes, null: bool = False) -> list[str]:
     Raises:
         InputError: there is no name in it.
     """
+    if not null:
+        data = _unmarked(data)
     if null:
         names = data.split(b"\0")
     else:
@@ -28,3 +31,13 @@ def parse_list(data: bytes, null: bool = False) -> list[str]:
     if not found:
         raise InputError("-: no photo names on standard input; did the program before it find any?")
     return found
+
+
+def _unmarked(data: bytes) -> bytes:
+    """The names alone, where Windows marked a text's beginning (PowerShell's is UTF-16)."""
+    if data.startswith(codecs.BOM_UTF16_LE) and b"\0" in data:
+        try:
+            return os.fsencode(data.decode("utf-16"))
+        except UnicodeError:
+            return data
+    return data.removeprefix(codecs.BOM_UTF8)

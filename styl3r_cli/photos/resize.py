@@ -9,13 +9,17 @@ from numpy.typing import NDArray
 from PIL import Image
 
 PATCH = 16  # the network's patch size; both sides of its pictures are multiples of it
+# A photo that would have more pixels when it covers the frame is cropped as it is scaled: a frame
+# that is a sliver of it would take gigabytes.
+MOST_WHOLE_PIXELS = 1 << 26
 
 
 def fit_photo(image: Image.Image, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Scale a photo until it just covers `size`, then crop its centre.
 
     LANCZOS on 8-bit values, as the published network was trained (Styl3R, arXiv 2505.21060).
-    Smaller photos are enlarged.
+    Smaller photos are enlarged. Where the whole scaled photo would be absurdly large, only the crop
+    is made, which differs from it by rounding.
 
     Args:
         image: RGB.
@@ -26,8 +30,14 @@ def fit_photo(image: Image.Image, size: tuple[int, int]) -> NDArray[np.uint8]:
     """
     height, width = size
     resized_height, resized_width = _covering(image.size, size)
-    resized = image.resize((resized_width, resized_height), Image.Resampling.LANCZOS)
     top, left = (resized_height - height) // 2, (resized_width - width) // 2
+    if resized_height * resized_width > MOST_WHOLE_PIXELS:
+        crop = (left, top, left + width, top + height)
+        scales = image.width / resized_width, image.height / resized_height
+        ends = [min(end * scales[i % 2], image.size[i % 2]) for i, end in enumerate(crop)]
+        box = (ends[0], ends[1], ends[2], ends[3])
+        return np.asarray(image.resize((width, height), Image.Resampling.LANCZOS, box))
+    resized = image.resize((resized_width, resized_height), Image.Resampling.LANCZOS)
     return np.asarray(resized)[top : top + height, left : left + width]
 
 

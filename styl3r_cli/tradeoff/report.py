@@ -21,6 +21,7 @@ from styl3r_cli.errors import InputError, OutputError, UsageError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.frames import Picture, to_picture
 from styl3r_cli.limits import available_cores
+from styl3r_cli.names import real_path
 from styl3r_cli.photos import expand, load_photos
 from styl3r_cli.photos.focal import focal_from_fov
 from styl3r_cli.photos.load import MAX_VIEWS
@@ -142,6 +143,8 @@ def check(request: Request, photos: Sequence[Path]) -> None:
         focal_from_fov(request.fov, 1)  # refuses what no lens has
     if request.lpips is not None and not request.holdout:
         raise UsageError("--lpips: there are no pictures to measure it of; name some by --holdout")
+    if request.holdout:
+        held_out_photos(request, photos)
     for style in request.styles:
         if not style.exists():
             raise InputError(f"{style}: no such style picture")
@@ -170,15 +173,28 @@ def make_dials(request: Request, photos: int, precisions: Sequence[str]) -> Dial
     )
 
 
+def held_out_photos(request: Request, photos: Sequence[Path]) -> list[Path]:
+    """The photos to compare with, without those that the network gets.
+
+    Raises:
+        UsageError: there are none, or more than fit beside the views.
+        InputError: one is not there.
+    """
+    views = {real_path(path) for path in photos}
+    paths = [path for path in expand(request.holdout, []) if real_path(path) not in views]
+    if not 1 <= len(paths) <= MOST_VIEWS - len(photos):
+        room = f"name 1 to {MOST_VIEWS - len(photos)}" if len(photos) < MOST_VIEWS else "no room"
+        raise UsageError(f"--holdout: {len(paths)} photos beside the views; {room}")
+    return paths
+
+
 def _held_out(
     request: Request, photos: Sequence[Path], reference: Point, console: Console
 ) -> tuple[list[Picture], dict[str, Any] | None]:
     """The held-out photos as pictures, and where they were taken."""
     if not request.holdout:
         return [], None
-    paths = [path for path in expand(request.holdout, []) if path not in photos]
-    if not paths or len(photos) + len(paths) > MOST_VIEWS:
-        raise UsageError(f"--holdout: 1 to {MOST_VIEWS - len(photos)} photos beside the views")
+    paths = held_out_photos(request, photos)
     size = reference.size
     # Two views are the least that can be loaded; the first is there for company.
     loaded = load_photos([photos[0], *paths], (size, size), request.fov)

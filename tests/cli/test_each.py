@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -97,6 +98,50 @@ def test_outputs_without_a_place_for_the_style_are_refused(
     assert code == 2
     assert told in err
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere they are one file")
+def test_names_that_some_file_systems_take_for_one_do_not_replace_each_other(
+    run: Run, photos: list[Path], make_picture: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Case is no difference to macOS and Windows; how an accent is written is none to macOS."""
+    names = ["Art", "other/art", "other/\u00e9", "other/e\u0301"]
+    (tmp_path / "other").mkdir()
+    twins = [make_picture(tmp_path / f"{name}.png", seed=n) for n, name in enumerate(names)]
+    command = ("stylize", *photos, *options(twins), "--each", "--all", "--quality", "draft")
+    assert run(*command, "-o", tmp_path / "out" / "{style}.ply")[0] == 0
+    made = {path.name for path in (tmp_path / "out").iterdir()}
+    assert made == {"Art.ply", "art-2.ply", "\u00e9.ply", "e\u0301-2.ply"}
+
+
+@pytest.mark.parametrize(
+    ("weights", "more", "code", "words"),
+    [
+        ("", {"--cameras-out": "{style}.json"}, 2, "one file for all styles"),
+        ("=0", {}, 2, "weights are for a blend"),
+        ("=2", {}, 2, "weights are for a blend"),
+        ("", {"-o": "new/" + "x" * 250 + "{style}.ply"}, 6, "File name too long"),
+    ],
+)
+def test_batches_that_could_not_end_well_are_not_begun(
+    run: Run,
+    photos: list[Path],
+    styles: list[Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    weights: str,
+    more: dict[str, str],
+    code: int,
+    words: str,
+) -> None:
+    monkeypatch.setattr(Stylizer, "__init__", lambda *_, **__: pytest.fail("work was begun"))
+    places = {"-o": "new/{style}.ply", **more}
+    named = [part for key, name in places.items() for part in (key, tmp_path / name)]
+    last = ("--style", f"{styles[2]}{weights}")
+    found, out, err = run("stylize", *photos, *options(styles[:2]), *last, "--each", *named)
+    assert (found, out, err.count("\n")) == (code, b"", 1)
+    assert words in err
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_style_that_cannot_be_used_does_not_stop_the_others(

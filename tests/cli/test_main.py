@@ -88,6 +88,8 @@ def test_version() -> None:
         (["stylize", "a", "-o", "x.ply", "--style", "b", "--strength", "2"], "range"),
         (["stylize", "a", "-o", "x.ply", "--style", "b", "--size", "0x4"], "not a size"),
         (["render", "x.ply", "-o", "y.mp4", "--speed", "fast"], "constant"),
+        (["render", "x.ply", "-o", "y.mp4", "--fps"], "argument (see styl3r render --help)"),
+        (["completion"], "choose from: bash, zsh, fish (see styl3r completion --help)"),
         (["render", "x.ply", "-o", "y.mp4", "--fps", "0"], "range"),
     ],
 )

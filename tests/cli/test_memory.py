@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import click
 import numpy as np
 import pytest
 
@@ -49,6 +50,27 @@ def test_memory_that_ends_is_no_bug(
     monkeypatch.setattr(main.group, "main", fail)
     assert main.run([]) == ExitCode.INTERNAL
     assert capsys.readouterr().err == f"styl3r: error: {main.OUT_OF_MEMORY}\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "advice"),
+    [
+        ("reconstruct x.jpg -o x.ply", "; try a smaller --size, or fewer and smaller photos"),
+        ("render x.ply -o x.mp4", "; try a smaller --size"),
+        ("bench render", "; try smaller --sizes, or fewer --gaussians"),
+        ("info x.ply", ""),
+        ("convert x.ply x.spz", ""),
+    ],
+)
+def test_advice_is_of_the_commands_own_options(
+    command: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(click.Command, "invoke", fail)
+    assert main.run(command.split()) == ExitCode.INTERNAL
+    assert capsys.readouterr().err == f"styl3r: error: out of memory{advice}\n"
 
 
 @pytest.mark.parametrize(

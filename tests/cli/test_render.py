@@ -425,6 +425,14 @@ def test_the_format_that_is_asked_for_is_written_under_any_name(
         assert picture.format == "JPEG"
 
 
+def test_frames_of_a_longer_film_that_stay_are_told(run: Run, scene: Path, tmp_path: Path) -> None:
+    shared = ("--size", 16, "-o", tmp_path / "%02d.png")
+    assert run(scene, "--frames", 4, *shared) == (0, "")
+    code, err = run(scene, "--frames", 2, *shared)
+    assert (code, len(list(tmp_path.glob("*.png")))) == (0, 4)
+    assert err == f"styl3r: {tmp_path / '02.png'} is of an earlier film, and stays\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -441,6 +449,13 @@ def test_the_format_that_is_asked_for_is_written_under_any_name(
         (["{scene}", "-o", "x.mp4", "--path", "moonwalk"], 2, "no such path"),
         (["{scene}", "-o", "x.mp4", "--path", "moon.json"], 3, "moon.json"),
         (["{scene}", "-o", "x.mp4", "--arc", "90"], 2, "orbit"),
+        (["{scene}", "-o", "x.mp4", "--layout", "side"], 2, "--layout is for --compare"),
+        (["{scene}", "-o", "x.mp4", "--colour-map", "turbo"], 2, "--colour-map is for --show"),
+        (["{scene}", "-o", "x.mp4", "--exr-compression", "zip"], 2, "is for EXR frames"),
+        (["{scene}", "-o", "%d.png", "--exr-parts", "multi"], 2, "is for EXR frames"),
+        (["{scene}", "-o", "x.mp4", "--cameras", "{cameras}", "--amplitude", "1"], 2, "--path"),
+        (["{scene}", "-o", "x.mp4", "--cameras", "{cameras}", "--once"], 2, "--path"),
+        (["{scene}", "-o", "x.mp4", "--path", "{cameras}", "--speed", "eased"], 2, "--frames"),
         (["{scene}", "-o", "x.mp4", "--compare", "no.ply"], 3, "no.ply"),
         (["-", "-o", "x.mp4", "--compare", "-"], 2, "standard input is one scene"),
         (["{scene}", "-o", "x.mp4", "--compare", "{scene}", "--show", "both"], 2, "no room"),
@@ -465,6 +480,8 @@ def test_the_format_that_is_asked_for_is_written_under_any_name(
         (["{scene}", "-o", "x.mp4", "--background", "greenish"], 2, "greenish"),
         (["{scene}", "-o", "x.mp4", "--background", "rgba(1,2,3,9)"], 2, "rgba(1,2,3,9)"),
         (["{scene}", "-o", "x.mp4", "--background", ""], 2, "not a colour"),
+        (["{scene}", "-o", "x.mp4", "--background", "rgb(300,0,0)"], 2, "rgb(300,0,0)"),
+        (["{scene}", "-o", "x.mp4", "--background", "hsl(0,200%,50%)"], 2, "not a colour"),
         (["{scene}", "-o", "x.mp4", "--cameras", "{cameras}", "--frames", "3"], 2, "--path"),
         (["{scene}", "-o", "x.mp4", "--cameras", "no.json"], 3, "no.json"),
         (["{foreign}", "-o", "x.mp4", "--path", "interpolate"], 2, "interpolate"),

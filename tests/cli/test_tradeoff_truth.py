@@ -268,3 +268,17 @@ def test_depths_that_are_none_are_refused(
     assert (code, err.count("knows no depth")) == (0, 3), err
     assert "depth" not in (target / "tradeoff.csv").read_text()
     assert [job["depths"] for job in here] == [False]
+
+
+def test_held_out_photos_that_cannot_be_are_refused_before_models_are_made(
+    measure: Run, photos: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(photos[0].parent)
+    for held_out, found, words in (
+        (Path(photos[0].name), 2, "0 photos beside the views; name 1 to 6"),  # under another name
+        (tmp_path / "none.jpg", 3, "none.jpg"),
+    ):
+        command = (*photos[:2], "--holdout", held_out, "-o", tmp_path / "r")
+        code, _, err = measure(*command, "--sizes", 16)
+        assert (code, words in err) == (found, True), err
+        assert not (tmp_path / "r").exists()

@@ -158,7 +158,7 @@ def test_steadying_learns_from_its_start_and_leaves_the_codes_of_styles(
 ) -> None:
     words = (
         *("--data", shards["data"], "--styles", pictures, "--photos", pictures),
-        *("--perceptual", "none", "--batch", 1, "--size", SIZE),
+        *("--perceptual", __file__, "--batch", 1, "--size", SIZE),
     )
     train(monkeypatch, "style", *words, "--out", tmp_path / "start", "--steps", 1)
     start = tmp_path / "start" / "last.pt"
@@ -177,7 +177,7 @@ def test_videos_train_the_whole_network(
 ) -> None:
     train(
         monkeypatch,
-        *("photometric", "--re10k", videos, "--held-out", videos, "--perceptual", "none"),
+        *("photometric", "--re10k", videos, "--held-out", videos, "--perceptual", __file__),
         *("--out", tmp_path, "--batch", 1, "--size", SIZE, "--steps", 1, "--validate-every", 1),
     )
     config = ModelConfig.from_dict(load_checkpoint(tmp_path / "last.pt")["config"])
@@ -196,7 +196,7 @@ def test_styles_are_learnt_on_videos_too(
     train(
         monkeypatch,
         *("style", "--re10k", videos, "--styles", pictures, "--photos", pictures, *wikiart),
-        *("--perceptual", "none", "--out", tmp_path, "--batch", 1, "--size", SIZE, "--steps", 2),
+        *("--perceptual", __file__, "--out", tmp_path, "--batch", 1, "--size", SIZE, "--steps", 2),
     )
     assert load_checkpoint(tmp_path / "last.pt")["step"] == 2
 
@@ -227,3 +227,21 @@ def test_what_a_stage_needs_is_said(
     assert ended.value.code == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_what_is_not_there_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "no.pt").write_bytes(b"no checkpoint")
+    for option, words in (
+        (["--data", "nowhere"], "--data nowhere: there is no such file or folder"),
+        (["--data", "empty"], "no scene shards in empty"),
+        (["--data", "empty", "--start", "no.pt"], "no.pt"),
+    ):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["curriculum", "geometry", *option, "--out", "run"])
+        with pytest.raises(SystemExit) as exit_info:
+            command.main()
+        assert exit_info.value.code in (2, 3, 4)
+        assert words in capsys.readouterr().err.splitlines()[-1]

@@ -149,3 +149,21 @@ def test_shards_resume_and_are_normalised(tmp_path: Path, monkeypatch: pytest.Mo
 def test_textures_from_a_folder(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no picture"):
         TextureBank.from_folder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        ("--count 0", 2, "'--count'"),
+        ("--count 1 --views 0", 2, "'--views'"),
+        ("--count 1 --size 0", 2, "'--size'"),
+        ("--count 1 --workers 0", 2, "'--workers'"),
+        ("--count 1", 6, "cannot write {out}: Not a directory"),
+    ],
+)
+def test_mistakes_are_told(tmp_path: Path, options: str, code: int, words: str) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    out = tmp_path / "file" / "shards"
+    result = CliRunner().invoke(main, ["--out", str(out), *options.split()])
+    assert result.exit_code == code
+    assert words.format(out=out) in result.stderr

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from styl3r_cli.errors import ExitCode, Styl3rError
 from styl3r_export.curriculum import data, stages
 from styl3r_export.curriculum.data_readers import (
     DL3DV,
@@ -121,12 +123,28 @@ def parse() -> argparse.Namespace:
         parser.error(f"the {args.stage} stage needs {' and '.join(missing)}")
     if args.frozen and args.stage not in FROZEN:
         parser.error(f"--frozen is for {' and '.join(FROZEN)}")
+    for name, value in vars(args).items():
+        if isinstance(value, Path) and name != "out" and not value.exists():
+            parser.error(f"--{name.replace('_', '-')} {value}: there is no such file or folder")
     return args
 
 
 def main() -> None:
     """Run the stage; start the same command again to go on."""
     args = parse()
+    try:
+        train(args)
+    except (Styl3rError, FileNotFoundError) as error:
+        print(f"Error: {error}", file=sys.stderr)
+        sys.exit(getattr(error, "exit_code", ExitCode.INPUT))
+
+
+def train(args: argparse.Namespace) -> None:
+    """Run the stage that a command line asks for.
+
+    Raises:
+        Styl3rError, FileNotFoundError: what it starts from or learns from is not there.
+    """
     torch.manual_seed(args.seed)
     # Optimiser states decay to denormal numbers, on which CPUs are up to ten times slower.
     torch.set_flush_denormal(True)

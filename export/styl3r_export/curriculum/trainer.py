@@ -9,11 +9,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from styl3r_cli.errors import InputError
 from styl3r_export.checkpoints import listed
 from styl3r_export.curriculum.layout import channels_last
 from styl3r_export.graphs_reading import load_graphs
@@ -230,15 +232,22 @@ class Trainer:
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """A checkpoint of this project, without executing anything in it."""
-    return torch.load(path, map_location="cpu", weights_only=True)
+    """A checkpoint of this project, without executing anything in it.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except (UnpicklingError, RuntimeError, EOFError) as error:
+        raise InputError(f"{path}: not a checkpoint, or a damaged one") from error
 
 
 def load_start(source: Path) -> dict[str, Any]:
     """What training can start from: a checkpoint, or a folder of exported graphs.
 
     Raises:
-        ModelError: a folder that holds no model.
+        InputError, ModelError: there is neither.
     """
     if not source.is_dir():
         return load_checkpoint(source)

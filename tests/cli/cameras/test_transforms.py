@@ -91,6 +91,16 @@ def test_intrinsics_of_the_frame_beat_those_of_the_file() -> None:
     assert (cameras[1].fx, cameras[1].fy, cameras[1].width) == (700.0, 510.0, 800)
 
 
+def test_an_angle_of_the_frame_beats_the_lens_of_the_file() -> None:
+    cameras = read_transforms(file(frame(), frame(camera_angle_x=math.pi / 2))).cameras
+    assert (cameras[0].fx, cameras[0].fy) == (500.0, 510.0)
+    assert cameras[1].fx == cameras[1].fy == pytest.approx(320.0)
+    (own,) = read_transforms(file(frame(camera_angle_x=1.0, fl_x=700.0))).cameras
+    assert (own.fx, own.fy) == (700.0, 510.0)
+    (both,) = read_transforms(file(frame(camera_angle_x=1.0, camera_angle_y=math.pi / 2))).cameras
+    assert both.fy == pytest.approx(200.0)
+
+
 def test_blender_and_ngp_files_with_an_angle() -> None:
     content = {"camera_angle_x": math.pi / 2, "frames": [frame()]}
     (found,) = read_transforms(json.dumps(content).encode(), size=(640, 400)).cameras

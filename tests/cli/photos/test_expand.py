@@ -115,6 +115,8 @@ def test_a_list_stands_where_it_is_named_and_is_taken_literally(folder: Path) ->
         (b"a\nb.jpg\0c.jpg\0", True, ["a\nb.jpg", "c.jpg"]),
         (b"a ", False, ["a "]),
         ("é.jpg\n".encode(), False, ["é.jpg"]),
+        ("é.jpg\r\n".encode("utf-8-sig"), False, ["é.jpg"]),
+        ("é.jpg\r\nb.jpg\r\n".encode("utf-16"), False, ["é.jpg", "b.jpg"]),
     ],
 )
 def test_lists_of_names(data: bytes, null: bool, expected: list[str]) -> None:

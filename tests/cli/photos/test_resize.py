@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from styl3r_cli.photos import resize as resize_module
 from styl3r_cli.photos.resize import fit_intrinsics, fit_map, fit_photo, fit_style
 
 
@@ -73,6 +75,31 @@ def test_any_photo_fills_the_frame(width: int, height: int, rows: int, columns: 
     fitted = fit_photo(image, (rows, columns))
     assert fitted.shape == (rows, columns, 3)
     assert (fitted == (9, 99, 199)).all()  # no border of another colour anywhere
+
+
+def test_a_sliver_of_an_enlarged_photo_is_not_cut_from_a_whole_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (48, 65, 3), dtype=np.uint8)
+    photo = Image.fromarray(noise).resize((260, 192), Image.Resampling.BICUBIC)
+    sizes: list[tuple[int, int]] = []
+    plain = Image.Image.resize
+
+    def resize(image: Image.Image, size: tuple[int, int], *rest: Any, **more: Any) -> Image.Image:
+        sizes.append(size)
+        return plain(image, size, *rest, **more)
+
+    monkeypatch.setattr(Image.Image, "resize", resize)
+    assert fit_photo(photo, (16384, 16)).shape == (16384, 16, 3)
+    assert sizes == [(16, 16384)]  # the whole one has 22187x16384 pixels: 1.5 GB
+    for size in ((512, 16), (16, 512), (301, 64)):
+        usual = fit_photo(photo, size)
+        with monkeypatch.context() as patch:
+            patch.setattr(resize_module, "MOST_WHOLE_PIXELS", 0)
+            away = np.abs(fit_photo(photo, size) - usual.astype(int))
+        # Between its two passes Pillow rounds to 8 bits, and the smaller one comes first.
+        assert away.max() <= 4
+        assert away.mean() < 0.5
 
 
 @given(st.integers(16, 300), st.integers(16, 300), st.floats(0.3, 0.7), st.floats(0.3, 0.7))
