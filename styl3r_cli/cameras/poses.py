@@ -56,7 +56,7 @@ def centre(extrinsics: Array) -> Array:
 def from_camera(camera: Camera) -> Array:
     """A camera's pose: quaternion, centre, lens (11,)."""
     lens = [camera.fx, camera.fy, camera.cx, camera.cy]
-    turn = _to_quaternion(camera.extrinsics[:3, :3].T)
+    turn = to_quaternion(camera.extrinsics[:3, :3].T)
     return np.concatenate([turn, centre(camera.extrinsics), lens])
 
 
@@ -80,7 +80,7 @@ def _to_matrix(quaternion: Array) -> Array:
     )
 
 
-def _to_quaternion(m: Array) -> Array:
+def to_quaternion(m: Array) -> Array:
     """The unit quaternion nearest to a rotation matrix (Bar-Itzhack 2000): stable everywhere."""
     k = np.zeros((4, 4))
     k[0] = [m.trace(), m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]

@@ -29,6 +29,7 @@ from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos import Photos
 from styl3r_cli.pipeline import Scene
+from styl3r_cli.placement import placed
 from styl3r_cli.quality import FITTED
 
 if TYPE_CHECKING:  # it brings numba
@@ -51,7 +52,7 @@ def make_scene(request: SceneRequest) -> None:
     with console.stage("structure"):
         scene = inputs.stylizer.encode(inputs.photos)
     with console.stage("cameras"):
-        recovered = _recover(scene, inputs.photos, console)
+        scene, recovered = _recover(scene, inputs.photos, request.threads, console)
     fitted = FITTED[request.quality]
     painter = Painter(inputs.stylizer, scene, recovered, request.threads, fitted)
     shared = rounded(console.timings | {"total": console.elapsed()})
@@ -118,12 +119,15 @@ def _measured(
     return stored
 
 
-def _recover(scene: Scene, photos: Photos, console: Console) -> Recovered:
+def _recover(
+    scene: Scene, photos: Photos, threads: int | None, console: Console
+) -> tuple[Scene, Recovered]:
     measured = photos.focals_measured
     recovered = recover(scene.means, scene.opacities, scene.intrinsics, measured)
+    scene, recovered = placed(scene, recovered, threads)
     for note in recovered.notes:
         console.note(note)
-    return recovered
+    return scene, recovered
 
 
 def _write(

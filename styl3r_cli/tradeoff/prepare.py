@@ -22,6 +22,7 @@ from styl3r_cli.photos.depth import read_depth
 from styl3r_cli.photos.resize import fit_map
 from styl3r_cli.photos.views import same_shape
 from styl3r_cli.pipeline import Stylizer
+from styl3r_cli.placement import placed
 from styl3r_cli.tradeoff.points import GIVEN
 
 QUANTISERS = ("onnx", "onnx_ir")  # modules that making other precisions needs
@@ -187,5 +188,6 @@ def held_out_poses(
     everything = load_photos(paths, (size, size), fov, known)
     scene = Stylizer(model, "cpu", threads).encode(everything)
     found = recover(scene.means, scene.opacities, scene.intrinsics, everything.focals_measured)
+    _, found = placed(scene, found, threads)
     poses = [camera.extrinsics.tolist() for camera in found.cameras]
     return {"views": poses[: len(photos)], "poses": poses[len(photos) :]}

@@ -29,6 +29,7 @@ from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.pipeline import Stylizer
+from styl3r_cli.placement import placed
 from styl3r_cli.quality import KEPT_DECIBELS, SHARES
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, between
 from styl3r_cli.tradeoff.bench import AGAIN, UNWRITABLE
@@ -75,6 +76,7 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
         with watch("structure"):
             scene = stylizer.encode(photos)
         found = recover(scene.means, scene.opacities, scene.intrinsics, photos.focals_measured)
+        scene, found = placed(scene, found, threads)
         painter = Painter(stylizer, scene, found, threads, point["colours"] == "fitted")
         with watch("appearance"):
             gaussians, _ = painter(styles, strength=1.0 if styles else 0.0)

@@ -16,11 +16,11 @@ from striped_scene import FOCAL, SIDE, write_scene
 
 from styl3r_cli.cameras.depth_errors import relative_errors
 from styl3r_cli.cameras.pose_errors import direction_error, rotation_error
+from styl3r_cli.cameras.two_view import features, match, solve
 from styl3r_cli.photos.resize import fit_photo
 from styl3r_export.cropping import crop_camera
 from styl3r_export.evaluate.__main__ import main
 from styl3r_export.evaluate.depth import fit_plane
-from styl3r_export.evaluate.essential import match, solve
 from styl3r_export.evaluate.groups import choose_groups
 from styl3r_export.evaluate.poses import area_under_recall
 from styl3r_export.evaluate.scenes import load_scene
@@ -170,7 +170,7 @@ def test_the_essential_matrix_finds_the_pose(outliers: float) -> None:
 def test_sift_finds_the_shift_of_a_picture() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (20, 20, 3), dtype=np.uint8)
     wide = np.asarray(Image.fromarray(noise).resize((160, 160), Image.Resampling.BICUBIC))
-    a, b = match(wide[:128, :128], wide[5:133, 9:137])
+    a, b = match(features(wide[:128, :128]), features(wide[5:133, 9:137]))
     assert len(a) > 20
     np.testing.assert_allclose(np.median(a - b, axis=0), [9, 5], atol=0.1)
 

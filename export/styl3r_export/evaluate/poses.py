@@ -10,7 +10,7 @@ import numpy as np
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.recover import Recovered
-from styl3r_export.evaluate.essential import relative_pose
+from styl3r_cli.cameras.two_view import relative_pose
 from styl3r_export.evaluate.groups import Group
 from styl3r_export.evaluate.records import MODEL, Values
 

@@ -18,6 +18,7 @@ from styl3r_cli.photos.focal import ASSUMED_FOCAL, focal_from_equivalent
 from styl3r_cli.photos.load import Photos
 from styl3r_cli.photos.views import FocalSource
 from styl3r_cli.pipeline import Scene, Stylizer
+from styl3r_cli.placement import placed
 from styl3r_cli.sessions import Graph
 from styl3r_export.checkpoints import load_any
 from styl3r_export.evaluate.groups import Group
@@ -95,7 +96,7 @@ def predict(stylizer: Stylizer, group: Group, intrinsics: Intrinsics) -> Predict
     photos = as_photos(group, given, intrinsics)
     scene = stylizer.encode(photos)
     found = recover(scene.means, scene.opacities, scene.intrinsics, photos.focals_measured)
-    return Prediction(scene, found, given)
+    return Prediction(*placed(scene, found, 1), given)
 
 
 def given_camera(view: TrueView, intrinsics: Intrinsics) -> Camera:

@@ -1,6 +1,8 @@
-"""The classical baseline of the cameras: SIFT matches and an essential matrix, by OpenCV."""
+"""Two pictures' motion by features that match: SIFT and an essential matrix, by OpenCV."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -13,6 +15,46 @@ MOST_ROUNDS = 10_000
 FEWEST_MATCHES = 5  # that the five-point algorithm needs
 
 Array = NDArray[np.float64]
+
+
+class Features(NamedTuple):
+    """What SIFT finds in a picture.
+
+    Attributes:
+        pixels: (F, 2) positions; the first pixel's centre is at (0.5, 0.5).
+        descriptors: (F, 128), or None where it finds nothing.
+    """
+
+    pixels: Array
+    descriptors: NDArray[np.float32] | None
+
+
+def features(picture: NDArray[np.uint8]) -> Features:
+    """SIFT features of an (H, W, 3) RGB picture."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    keys, found = cv2.SIFT.create().detectAndCompute(grey, None)
+    descriptors = None if found is None else np.asarray(found, np.float32)
+    # OpenCV puts the first pixel's centre at (0, 0), this project at (0.5, 0.5).
+    pixels = np.array([key.pt for key in keys]).reshape(-1, 2) + 0.5
+    return Features(pixels, descriptors)
+
+
+def match(first: Features, second: Features) -> tuple[Array, Array]:
+    """(M, 2) pixel positions of the mutually best matches that pass the ratio test."""
+    empty = np.zeros((0, 2))
+    a, b = first.descriptors, second.descriptors
+    if a is None or b is None or len(a) < 2 or len(b) < 2:
+        return empty, empty
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    back = {m.queryIdx: m.trainIdx for m in matcher.match(b, a)}
+    good = [
+        m
+        for m, other in matcher.knnMatch(a, b, k=2)
+        if m.distance < LOWE_RATIO * other.distance and back[m.trainIdx] == m.queryIdx
+    ]
+    if not good:
+        return empty, empty
+    return first.pixels[[m.queryIdx for m in good]], second.pixels[[m.trainIdx for m in good]]
 
 
 def relative_pose(
@@ -29,7 +71,7 @@ def relative_pose(
     Returns:
         None where there are too few matches.
     """
-    return solve(*match(first, second), first_k, second_k)
+    return solve(*match(features(first), features(second)), first_k, second_k)
 
 
 def solve(a: Array, b: Array, first_k: Array, second_k: Array) -> Array | None:
@@ -59,29 +101,3 @@ def solve(a: Array, b: Array, first_k: Array, second_k: Array) -> Array | None:
             best, most = np.eye(4), count
             best[:3, :3], best[:3, 3] = rotation, translation[:, 0]
     return best
-
-
-def match(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[Array, Array]:
-    """(M, 2) pixel positions of the mutually best matches that pass the ratio test."""
-    sift = cv2.SIFT.create()
-    found = [
-        sift.detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None)
-        for picture in (first, second)
-    ]
-    (keys_a, a), (keys_b, b) = found
-    empty = np.zeros((0, 2))
-    if a is None or b is None or len(a) < 2 or len(b) < 2:
-        return empty, empty
-    matcher = cv2.BFMatcher(cv2.NORM_L2)
-    back = {m.queryIdx: m.trainIdx for m in matcher.match(b, a)}
-    good = [
-        m
-        for m, other in matcher.knnMatch(a, b, k=2)
-        if m.distance < LOWE_RATIO * other.distance and back[m.trainIdx] == m.queryIdx
-    ]
-    if not good:
-        return empty, empty
-    # OpenCV puts the first pixel's centre at (0, 0), this project at (0.5, 0.5).
-    uv_a = np.array([keys_a[m.queryIdx].pt for m in good]) + 0.5
-    uv_b = np.array([keys_b[m.trainIdx].pt for m in good]) + 0.5
-    return uv_a, uv_b

@@ -1,0 +1,233 @@
+"""Views that the network misplaced, put where features that match say they are.
+
+The network finds its matches between 32x32 cells of two views. Where a view turned far, or its
+surroundings repeat, all of them can be wrong: then the view's points and camera land anywhere, or
+it is given up and made invisible, though the view by itself is as good as others. SIFT's features
+are sparse and know nothing of surfaces, but where many of them fit one motion, there is hardly
+another explanation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.agreement import Pair, compare, explained, rays
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.pnp import find_pose
+from styl3r_cli.cameras.pose_errors import motion
+from styl3r_cli.cameras.poses import to_quaternion
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.cameras.similarity import moved_camera, size_and_step, size_of
+from styl3r_cli.cameras.two_view import features
+from styl3r_cli.pipeline import Scene
+from styl3r_cli.splatting.compiler import in_threads
+
+Array = NDArray[np.float64]
+
+# Views are moved if, over all of their matches with those that stay, so many more are explained.
+WORTH_MOVING = 1.3
+# A view was given up if it is so much fainter than the first.
+FAINT = 0.5
+
+
+def placed(
+    scene: Scene, recovered: Recovered, threads: int | None = None
+) -> tuple[Scene, Recovered]:
+    """The scene and its cameras, with views moved whose features contradict their place.
+
+    Views that agree with each other stay together, the first view's stay where they are. The
+    distance and the size of what is moved are those at which its points lie where the others' do.
+    A view that the network gave up is visible again if its place is known now. Photos of which few
+    features match are left as they are. Same input, same result.
+
+    Args:
+        scene: from `Stylizer.encode`.
+        recovered: its cameras.
+        threads: None for every core.
+    """
+    pictures = (scene.images.transpose(0, 2, 3, 1) * 255).round().clip(0, 255).astype(np.uint8)
+    found = in_threads(features, list(pictures), threads)
+    cameras = [_own_camera(scene, recovered, view) for view in range(len(pictures))]
+
+    def look(index: tuple[int, int]) -> Pair:
+        first, second = index
+        return compare(index, (found[first], found[second]), cameras)
+
+    pairs = in_threads(look, list(combinations(range(len(pictures)), 2)), threads)
+    mover = _Mover(scene, cameras, pairs)
+    mover.move_all()
+    return mover.result(recovered)
+
+
+def _own_camera(scene: Scene, recovered: Recovered, view: int) -> Camera:
+    """A view's camera as its points have it, also if they are invisible."""
+    camera = recovered.cameras[view]
+    if recovered.recovered[view]:
+        return camera
+    pose = find_pose(scene.means[view], np.ones_like(scene.opacities[view]), camera)
+    return camera if pose is None else replace(camera, extrinsics=pose)
+
+
+class _Mover:
+    """Groups of views that agree with each other, moved as wholes."""
+
+    def __init__(self, scene: Scene, cameras: list[Camera], pairs: list[Pair]) -> None:
+        self.scene, self.cameras, self.pairs = scene, cameras, pairs
+        self.moves: dict[int, Array] = {}  # of views, similarities of the world
+        self.notes: dict[int, str] = {}  # of the first of them that were moved together
+        self.sure: set[int] = {0}  # views that features confirm
+
+    def move_all(self) -> None:
+        """Bring one group after the other to the first view's, those that are surest first."""
+        groups = _groups(len(self.cameras), self.pairs)
+        self.sure = groups.pop(0)
+        while groups:
+            links = [
+                (int(pair.explained.sum()), -number, pair, group)
+                for number, pair in enumerate(self.pairs)
+                for group in groups
+                if pair.motion is not None and _links(pair, self.sure, group)
+            ]
+            if not links:
+                break
+            *_, pair, group = max(links)
+            groups.remove(group)
+            if self._move(pair, group):
+                self.sure |= group
+
+    def _move(self, pair: Pair, group: set[int]) -> bool:
+        """Move a group to where a pair's motion has it, if its other matches agree to that."""
+        change = self._change(pair)
+        if change is None:
+            return False
+        before = self._explained(self.cameras, group)
+        cameras = [
+            moved_camera(camera, change) if view in group else camera
+            for view, camera in enumerate(self.cameras)
+        ]
+        after = self._explained(cameras, group)
+        if after < WORTH_MOVING * before:
+            return False
+        self.cameras = cameras
+        self.moves |= dict.fromkeys(group, change)
+        names = " and ".join(str(view + 1) for view in sorted(group))
+        self.notes[min(group)] = (
+            f"view {names}: placed by features that match: {after} of them fit, {before} did where "
+            "the network had it"
+        )
+        return True
+
+    def _explained(self, cameras: list[Camera], group: set[int]) -> int:
+        """How many matches between a group and the sure views their cameras explain."""
+        total = 0
+        for pair in self.pairs:
+            if _links(pair, self.sure, group):
+                one, two = cameras[pair.first], cameras[pair.second]
+                move = motion(one.extrinsics, two.extrinsics)
+                total += int(explained(move, pair.pixels, one, two).sum())
+        return total
+
+    def _change(self, pair: Pair) -> Array | None:
+        """(4, 4) similarity of the world that takes the pair's view to where its motion has it."""
+        assert pair.motion is not None
+        (still, other), (uv, uv_other) = (pair.first, pair.second), pair.pixels
+        move: Array = pair.motion
+        if still not in self.sure:
+            still, other, uv, uv_other = other, still, uv_other, uv
+            move = np.linalg.inv(move).astype(np.float64)
+        stays, goes, fit = self.cameras[still], self.cameras[other], pair.explained
+        here = rays(uv[fit], stays) * self._depths(still, uv[fit])[:, None] @ move[:3, :3].T
+        there = rays(uv_other[fit], goes) * self._depths(other, uv_other[fit])[:, None]
+        found = size_and_step(here, there, move[:3, 3])
+        if found is None:
+            return None
+        size, step = found
+        target = move.copy()
+        target[:3, 3] *= step
+        grown = np.diag([size, size, size, 1.0])
+        return np.linalg.inv(target @ stays.extrinsics) @ grown @ goes.extrinsics
+
+    def _depths(self, view: int, pixels: Array) -> Array:
+        """(M,) z of a view's points at pixels, in its camera's frame."""
+        height, width = self.scene.means.shape[1:3]
+        column = pixels[:, 0].astype(int).clip(0, width - 1)
+        row = pixels[:, 1].astype(int).clip(0, height - 1)
+        points = self.scene.means[view, row, column].astype(np.float64)
+        to_camera = self.cameras[view].extrinsics @ self.moves.get(view, np.eye(4))
+        with np.errstate(invalid="ignore"):  # what is not finite is passed over later
+            return points @ to_camera[2, :3] + to_camera[2, 3]
+
+    def result(self, recovered: Recovered) -> tuple[Scene, Recovered]:
+        """The scene and its cameras after all moves."""
+        matched = {
+            view
+            for pair in self.pairs
+            if pair.confirmed or pair.motion is not None
+            for view in (pair.first, pair.second)
+        }
+        scene, sure = _copied(self.scene), self.sure & matched
+        cameras, found, notes = list(recovered.cameras), list(recovered.recovered), []
+        typical = np.median(scene.opacities[0])
+        for view in sorted(sure):
+            cameras[view], found[view] = self.cameras[view], True
+            if view in self.moves:
+                _move_view(scene, view, self.moves[view])
+            if view in self.notes:
+                notes.append(self.notes[view])
+            if np.median(scene.opacities[view]) < FAINT * typical:
+                np.maximum(scene.opacities[view], typical, out=scene.opacities[view])
+                notes.append(f"view {view + 1}: its place is confirmed by features that match")
+        wrong = tuple(f"view {view + 1}:" for view in sure if not recovered.recovered[view])
+        kept = [note for note in recovered.notes if not note.startswith(wrong)]
+        return scene, replace(recovered, cameras=cameras, recovered=found, notes=kept + notes)
+
+
+def _copied(scene: Scene) -> Scene:
+    """A scene whose geometry may be changed."""
+    return replace(
+        scene,
+        means=scene.means.copy(),
+        scales=scene.scales.copy(),
+        rotations=scene.rotations.copy(),
+        opacities=scene.opacities.copy(),
+    )
+
+
+def _move_view(scene: Scene, view: int, change: Array) -> None:
+    """Move a view's Gaussians by a similarity of the world."""
+    size = size_of(change)
+    points = scene.means[view].astype(np.float64)
+    scene.means[view] = points @ change[:3, :3].T + change[:3, 3]
+    scene.scales[view] *= np.float32(size)
+    w, x, y, z = to_quaternion(change[:3, :3] / size)
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    scene.rotations[view] = scene.rotations[view].astype(np.float64) @ left.T
+
+
+def _groups(views: int, pairs: list[Pair]) -> list[set[int]]:
+    """Views that confirmed pairs connect; the first view's group first.
+
+    A view that no pair says anything about stays with the first.
+    """
+    known = {view for pair in pairs if pair.confirmed or pair.motion is not None
+             for view in (pair.first, pair.second)}  # fmt: skip
+    groups: list[set[int]] = [{0} | {view for view in range(views) if view not in known}]
+    groups += [{view} for view in range(1, views) if view in known]
+    for pair in pairs:
+        if pair.confirmed:
+            one, two = (next(g for g in groups if v in g) for v in (pair.first, pair.second))
+            if one is not two:
+                one |= two
+                groups.remove(two)
+    return sorted(groups, key=min)
+
+
+def _links(pair: Pair, staying: set[int], group: set[int]) -> bool:
+    """Whether one of its views is in either."""
+    return (pair.first in staying and pair.second in group) or (
+        pair.first in group and pair.second in staying
+    )

@@ -1,0 +1,149 @@
+"""Views in wrong places go back to where they were taken from; right ones stay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from wavy_wall import wall
+
+from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.pipeline import Scene
+from styl3r_cli.placement import placed
+from styl3r_cli.splatting import render
+
+WRONG = cv2.Rodrigues(np.array([0.3, -0.8, 0.5]))[0]
+SIZE, SHIFT = 1.3, np.array([0.4, -0.2, 0.5])
+
+
+def misplace(scene: Scene, recovered: Recovered, views: list[int]) -> tuple[Scene, Recovered]:
+    """The views, with their cameras, turned, shifted and enlarged together."""
+    means, scales, rotations = scene.means.copy(), scene.scales.copy(), scene.rotations.copy()
+    cameras = list(recovered.cameras)
+    turn = Gaussians(
+        np.zeros((1, 3)), np.ones((1, 3)), quaternion(WRONG)[None], np.ones(1), np.ones((1, 3))
+    ).rotations[0]
+    for view in views:
+        means[view] = SIZE * means[view] @ WRONG.T + SHIFT
+        scales[view] *= SIZE
+        rotations[view] = turn  # of Gaussians that had none
+        extrinsics = cameras[view].extrinsics.copy()
+        extrinsics[:3, :3] = extrinsics[:3, :3] @ WRONG.T
+        extrinsics[:3, 3] = SIZE * extrinsics[:3, 3] - extrinsics[:3, :3] @ SHIFT
+        cameras[view] = replace(cameras[view], extrinsics=extrinsics)
+    scene = replace(scene, means=means, scales=scales, rotations=rotations)
+    return scene, replace(recovered, cameras=cameras)
+
+
+def quaternion(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of a rotation vector's matrix, by its axis and angle."""
+    vector = cv2.Rodrigues(turn)[0][:, 0]
+    angle = np.linalg.norm(vector)
+    return np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * vector / angle])
+
+
+def errors(found: Recovered, true: Recovered) -> list[float]:
+    """Degrees that each camera is off from where it is seen by the first."""
+    pairs = [
+        [motion(r.cameras[0].extrinsics, r.cameras[view].extrinsics) for r in (found, true)]
+        for view in range(1, len(true.cameras))
+    ]
+    return [max(rotation_error(*pair), direction_error(*pair)) for pair in pairs]
+
+
+def test_what_is_right_stays_as_it_is() -> None:
+    scene, recovered = wall(3)
+    made, found = placed(scene, recovered)
+    for name in ("means", "scales", "rotations", "opacities"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(scene, name))
+    for one, other in zip(found.cameras, recovered.cameras, strict=True):
+        np.testing.assert_array_equal(one.extrinsics, other.extrinsics)
+    assert found.notes == []
+
+
+@pytest.mark.parametrize("views", [[1], [2], [1, 2], [2, 3]])
+def test_misplaced_views_go_back(views: list[int]) -> None:
+    scene, recovered = wall(4)
+    wrong, there = misplace(scene, recovered, views)
+    assert max(errors(there, recovered)) > 30
+    made, found = placed(wrong, there)
+    assert max(errors(found, recovered)) < 1.5
+    for view in range(4):
+        off = np.linalg.norm(made.means[view] - scene.means[view], axis=-1)
+        assert np.median(off) < 0.02 * 2  # 2 units away
+        np.testing.assert_allclose(made.scales[view], scene.scales[view], rtol=0.03)
+        straight = np.abs(made.rotations[view] @ np.array([1, 0, 0, 0], np.float32))
+        assert straight.min() > np.cos(np.radians(1))
+    assert found.recovered == [True] * 4
+    (note,) = found.notes
+    assert note.startswith("view " + " and ".join(str(view + 1) for view in views) + ": placed")
+
+
+def test_what_was_moved_is_drawn_as_before() -> None:
+    """From where its camera went, a moved view's Gaussians look as they did."""
+    scene, recovered = wall(2)
+    wrong, there = misplace(scene, recovered, [1])
+    made, found = placed(wrong, there)
+    frames = []
+    for one, camera in ((wrong, there.cameras[1]), (made, found.cameras[1])):
+        colours = one.images[1].transpose(1, 2, 0).reshape(-1, 3)
+        geometry = (one.means, one.scales, one.rotations)
+        parts = [each[1].reshape(-1, each.shape[-1]) for each in geometry]
+        frames.append(render(Gaussians(*parts, one.opacities[1].ravel(), colours), camera).colour)
+    off = np.abs(frames[0] - frames[1])
+    # Rounding turns the order of some that are equally far.
+    assert off.mean() < 1e-4
+    assert off.max() < 0.05
+
+
+def test_a_view_that_was_given_up_is_shown_where_features_confirm_it() -> None:
+    scene, recovered = wall(3)
+    faint = scene.opacities.copy()
+    faint[2] = 0
+    cameras = [*recovered.cameras[:2], recovered.cameras[1]]
+    given_up = replace(
+        recovered,
+        cameras=cameras,
+        recovered=[True, True, False],
+        notes=["view 2: unclear", "view 3: no camera explains its points"],
+    )
+    made, found = placed(replace(scene, opacities=faint), given_up)
+    np.testing.assert_allclose(made.opacities, 0.9, rtol=1e-6)
+    assert found.recovered == [True] * 3
+    assert max(errors(found, recovered)) < 0.1
+    assert found.notes == [
+        "view 2: unclear",
+        "view 3: its place is confirmed by features that match",
+    ]
+
+
+def test_without_features_everything_stays() -> None:
+    scene, recovered = wall(2)
+    wrong, there = misplace(scene, recovered, [1])
+    other, _ = wall(2, seed=1)
+    for images in (np.full_like(scene.images, 0.5), np.stack([scene.images[0], other.images[1]])):
+        made, found = placed(replace(wrong, images=images), there)
+        np.testing.assert_array_equal(made.means, wrong.means)
+        assert errors(found, recovered) == errors(there, recovered)
+        assert found.notes == []
+
+
+def test_points_that_are_not_finite_do_not_decide() -> None:
+    scene, recovered = wall(2)
+    wrong, there = misplace(scene, recovered, [1])
+    wrong.means[1, ::5] = np.nan
+    wrong.means[0, :, ::7] = np.inf
+    _, found = placed(wrong, there)
+    assert max(errors(found, recovered)) < 1.5
+
+
+def test_threads_change_nothing() -> None:
+    wrong, there = misplace(*wall(3), [2])
+    one, two = (placed(wrong, there, threads) for threads in (1, 3))
+    np.testing.assert_array_equal(one[0].means, two[0].means)
+    assert one[1].notes == two[1].notes
