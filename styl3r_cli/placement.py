@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 # Views are moved if, over all of their matches with those that stay, so many more are explained.
 WORTH_MOVING = 1.3
-# A view was given up if it is so much fainter than the first.
+# A view was given up if it is so much fainter than the one that is least so.
 FAINT = 0.5
 
 
@@ -41,8 +41,8 @@ def placed(
 
     Views that agree with each other stay together, the first view's stay where they are. The
     distance and the size of what is moved are those at which its points lie where the others' do.
-    A view that the network gave up is visible again if its place is known now. Photos of which few
-    features match are left as they are. Same input, same result.
+    A view that the network gave up is visible again beyond what the others show, if its place is
+    known now. Photos of which few features match are left as they are. Same input, same result.
 
     Args:
         scene: from `Stylizer.encode`.
@@ -169,21 +169,47 @@ class _Mover:
             if pair.confirmed or pair.motion is not None
             for view in (pair.first, pair.second)
         }
-        scene, sure = _copied(self.scene), self.sure & matched
-        cameras, found, notes = list(recovered.cameras), list(recovered.recovered), []
-        typical = np.median(scene.opacities[0])
-        for view in sorted(sure):
+        scene, sure = _copied(self.scene), sorted(self.sure & matched)
+        cameras, found = list(recovered.cameras), list(recovered.recovered)
+        for view in sure:
             cameras[view], found[view] = self.cameras[view], True
             if view in self.moves:
                 _move_view(scene, view, self.moves[view])
-            if view in self.notes:
-                notes.append(self.notes[view])
-            if np.median(scene.opacities[view]) < FAINT * typical:
-                np.maximum(scene.opacities[view], typical, out=scene.opacities[view])
-                notes.append(f"view {view + 1}: its place is confirmed by features that match")
         wrong = tuple(f"view {view + 1}:" for view in sure if not recovered.recovered[view])
-        kept = [note for note in recovered.notes if not note.startswith(wrong)]
-        return scene, replace(recovered, cameras=cameras, recovered=found, notes=kept + notes)
+        notes = [note for note in recovered.notes if not note.startswith(wrong)]
+        notes += [self.notes[view] for view in sorted(self.notes)]
+        notes += _show_again(scene, cameras, sure)
+        return scene, replace(recovered, cameras=cameras, recovered=found, notes=notes)
+
+
+def _show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[str]:
+    """Make views that were given up visible beyond what the others show; returns notes.
+
+    Their depths come from wrong matches: within the others' frames they would only be in the way.
+    """
+    middles = np.median(scene.opacities, axis=(1, 2))
+    shown = middles >= FAINT * middles.max()
+    notes = []
+    for view in sure:
+        if not shown[view]:
+            points = scene.means[view]
+            others = [cameras[other] for other in np.flatnonzero(shown)]
+            beyond = ~np.logical_or.reduce([_inside(points, camera) for camera in others])
+            faint = scene.opacities[view]
+            faint[beyond] = np.maximum(faint[beyond], middles.max())
+            shown[view] = True
+            notes.append(f"view {view + 1}: shown beyond what the other views show")
+    return notes
+
+
+def _inside(points: NDArray[np.float32], camera: Camera) -> NDArray[np.bool_]:
+    """(H, W), which points (H, W, 3) are in a camera's frame."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen = points @ camera.extrinsics[:3, :3].T + camera.extrinsics[:3, 3]
+        u = camera.fx * seen[..., 0] / seen[..., 2] + camera.cx
+        v = camera.fy * seen[..., 1] / seen[..., 2] + camera.cy
+        within = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return within & (seen[..., 2] > 0)
 
 
 def _copied(scene: Scene) -> Scene:
