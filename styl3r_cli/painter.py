@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
+from styl3r_cli.splatting.constants import ALPHA_MIN
 
 if TYPE_CHECKING:  # they bring numba, which takes a while
-    from styl3r_cli.cameras.camera import Camera
     from styl3r_cli.compaction import Compaction, Compactor
-    from styl3r_cli.fitting.tracing import Trace
+    from styl3r_cli.fitting.views import ViewsFit
     from styl3r_cli.overlaps import Overlaps
 
-# Steps of the colours' least squares. On real pairs the third still sharpens pictures from new
-# cameras, the fourth and fifth only those from the views' own.
-FIT_STEPS = 3
 # Shapes of merged Gaussians are left as they are: fitting them takes as long again.
 RESHAPES = 0
 # How much strokes are sharpened before they are drawn, over their difference from a blur of
@@ -151,10 +148,13 @@ class Painter:
         return assemble(scene, colours, self.pixels)
 
     @cached_property
-    def _fit(self) -> _Fit:
+    def _fit(self) -> ViewsFit:
+        from styl3r_cli.fitting.views import ViewsFit
+
         # Any colours would do to begin with.
         plain, _ = self._assemble(self.scene.images.transpose(0, 2, 3, 1))
-        return _Fit(plain, self.recovered, self._overlaps.own, self.threads)
+        visible = self.scene.opacities >= ALPHA_MIN
+        return ViewsFit(plain, self.recovered, self._overlaps.own, visible, self.threads)
 
 
 def emphasised(pictures: FloatArray, amount: float) -> FloatArray:
@@ -184,7 +184,10 @@ def warm_up(compact: bool = False) -> None:
         dot = Gaussians(three, three, np.ones((1, 4), np.float32), one, three)
         camera = Camera(np.eye(4), 1.0, 1.0, 0.5, 0.5, 1, 1)
         with suppress(Exception):
-            _fitted(dot, _look(dot, [camera], 1), [(three, one[:, None])], 1)
+            from styl3r_cli.fitting.tracing import look
+            from styl3r_cli.fitting.views import fitted
+
+            fitted(dot, look(dot, [camera], 1), [(three, one[:, None])], 1)
         if compact:
             with suppress(Exception):
                 from styl3r_cli.compaction import Compactor
@@ -194,60 +197,3 @@ def warm_up(compact: bool = False) -> None:
                 compactor.keep_count(dots.colours, 2)
 
     threading.Thread(target=load, name="warm up").start()
-
-
-def _look(gaussians: Gaussians, cameras: Sequence[Camera], threads: int | None) -> list[Trace]:
-    from styl3r_cli.fitting.tracing import look
-
-    return look(gaussians, cameras, threads)
-
-
-def _fitted(
-    gaussians: Gaussians,
-    traces: Sequence[Trace],
-    wanted: Sequence[tuple[FloatArray, FloatArray]],
-    threads: int | None,
-) -> Gaussians:
-    """The Gaussians in the colours that show pictures (P, 3) of weights (P, 1) best."""
-    from styl3r_cli.fitting.refit import Target, refit
-
-    # What the scene does not cover stays uncovered.
-    targets = [
-        Target(picture * (1 - each.through[:, None]), each.through, weight)
-        for (picture, weight), each in zip(wanted, traces, strict=True)
-    ]
-    colours = refit(traces, targets, gaussians.colours, FIT_STEPS, threads)
-    return gaussians.with_colours(colours)
-
-
-class _Fit:
-    """The views' frames as matrices that take colours to pixels."""
-
-    def __init__(
-        self, plain: Gaussians, recovered: Recovered, own: FloatArray, threads: int | None
-    ) -> None:
-        """Trace the views.
-
-        Args:
-            plain: the scene in any colours.
-            recovered: the views' cameras.
-            own: (N, H, W), how much of each pixel no other view paints.
-            threads: None for every core.
-        """
-        self.views = np.flatnonzero(recovered.recovered)
-        self.plain, self.own, self.threads = plain.colours, own, threads
-        cameras = [recovered.cameras[view] for view in self.views]
-        self.traces = _look(plain, cameras, threads)
-        self.traced = list(zip(cameras, self.traces, strict=True))
-
-    def apply(self, gaussians: Gaussians, pictures: FloatArray, strength: float) -> Gaussians:
-        """The Gaussians in the colours that show the pictures (N, H, W, 3) best.
-
-        What another view painted is to be seen as it painted it, in its place: where depths are a
-        little wrong, two views' wishes for one stroke would make a blur of it. Of photos' own
-        colours, which do not need to be crisp but right, all views' have a say.
-        """
-        traces = [each.recoloured(gaussians.colours - self.plain) for each in self.traces]
-        weights = 1 - np.float32(strength) * (1 - self.own)
-        wanted = [(pictures[k].reshape(-1, 3), weights[k].reshape(-1, 1)) for k in self.views]
-        return _fitted(gaussians, traces, wanted, self.threads)

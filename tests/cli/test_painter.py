@@ -118,6 +118,21 @@ def test_fitting_changes_only_colours_and_they_stay_in_range(
     assert str(repairs) == ""
 
 
+def test_what_a_view_shows_of_others_where_its_own_is_invisible_changes_no_colour(
+    scene: Scene, recovered: Recovered, pictures: FloatArray
+) -> None:
+    """Such a view's own depths were not believed: others' Gaussians are not where it has them."""
+    opacities = scene.opacities.copy()
+    opacities[1] = 0
+    scene = replace(scene, opacities=opacities)
+    other = pictures.copy()
+    other[1] = pictures[1, ::-1]
+    one, two = (paint(Brush(each), scene, recovered)()[0] for each in (pictures, other))
+    visible = one.opacities > 0
+    assert visible.sum() == SIDE * SIDE
+    np.testing.assert_array_equal(one.colours[visible], two.colours[visible])
+
+
 def test_warming_up_loads_what_stylizing_uses_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     used = []
 
