@@ -187,7 +187,7 @@ def _show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[st
 
     Their depths come from wrong matches: within the others' frames they would only be in the way.
     """
-    middles = np.median(scene.opacities, axis=(1, 2))
+    middles = np.median(np.nan_to_num(scene.opacities), axis=(1, 2))
     shown = middles >= FAINT * middles.max()
     notes = []
     for view in sure:

@@ -168,3 +168,38 @@ def test_threads_change_nothing() -> None:
     one, two = (placed(wrong, there, threads) for threads in (1, 3))
     np.testing.assert_array_equal(one[0].means, two[0].means)
     assert one[1].notes == two[1].notes
+
+
+CHECKERS = np.indices((SIDE, SIDE)).sum(axis=0) % 2
+
+
+@pytest.mark.parametrize(
+    "pictures",
+    [
+        np.zeros((SIDE, SIDE)),
+        CHECKERS,
+        np.kron(CHECKERS[:12, :12], np.ones((SIDE // 12, SIDE // 12))),
+        np.random.default_rng(0).random((SIDE, SIDE)),
+        wall(1)[0].images[0].mean(axis=0),
+    ],
+    ids=["black", "checkers", "squares", "noise", "wall"],
+)
+def test_views_that_are_all_alike_have_a_place(pictures: NDArray[np.float64]) -> None:
+    """Repeated and identical pictures: any answer is finite and rigid."""
+    scene, recovered = misplace(*wall(3), [1])
+    images = np.broadcast_to(pictures, scene.images.shape).astype(np.float32)
+    made, found = placed(replace(scene, images=images), recovered)
+    assert np.isfinite(made.means).all()
+    for camera in found.cameras:
+        turn = camera.extrinsics[:3, :3]
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+
+
+@pytest.mark.parametrize("broken", ["means", "opacities"])
+def test_scenes_of_numbers_that_are_none_pass(broken: str) -> None:
+    scene, recovered = wall(2)
+    wrong, there = misplace(scene, recovered, [1])
+    nothing = np.full_like(getattr(wrong, broken), np.nan)
+    made, found = placed(replace(wrong, **{broken: nothing}), there)
+    assert all(np.isfinite(camera.extrinsics).all() for camera in found.cameras)
+    assert np.isnan(getattr(made, broken)).any() or broken == "opacities"
