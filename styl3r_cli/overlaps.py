@@ -11,7 +11,6 @@ from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.meetings import Ground, sample
 from styl3r_cli.pipeline import Scene
-from styl3r_cli.splatting.constants import ALPHA_MIN
 
 # A pixel's Gaussian is a repeat if of the BAND x BAND pixels around it less than this share is the
 # view's own: where views meet, both are kept for a few pixels, or their seam shows.
@@ -80,7 +79,7 @@ class Overlaps:
         self.own = np.ones(scene.means.shape[:3], np.float32)
         doubts = np.zeros(scene.means.shape[:3], np.float32)
         # What is never drawn stands for nothing.
-        drawn = np.where((scene.opacities >= ALPHA_MIN)[..., None], scene.means, np.nan)
+        drawn = np.where((scene.opacities > 0)[..., None], scene.means, np.nan)
         grounds = {view: Ground.of(drawn[view], recovered.cameras[view]) for view in known}
         for index, view in enumerate(self.order):
             for other in self.order:

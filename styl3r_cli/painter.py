@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray, Gaussians
 from styl3r_cli.pipeline import Repairs, Scene, Stylizer, assemble
-from styl3r_cli.splatting.constants import ALPHA_MIN
 
 if TYPE_CHECKING:  # they bring numba, which takes a while
     from styl3r_cli.compaction import Compaction, Compactor
@@ -153,7 +152,7 @@ class Painter:
 
         # Any colours would do to begin with.
         plain, _ = self._assemble(self.scene.images.transpose(0, 2, 3, 1))
-        visible = self.scene.opacities >= ALPHA_MIN
+        visible = self.scene.opacities > 0
         return ViewsFit(plain, self.recovered, self._overlaps.own, visible, self.threads)
 
 

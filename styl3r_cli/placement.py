@@ -24,7 +24,7 @@ from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.cameras.similarity import moved_camera, size_and_step, size_of
 from styl3r_cli.cameras.two_view import features
 from styl3r_cli.pipeline import Scene
-from styl3r_cli.splatting.compiler import in_threads
+from styl3r_cli.threads import in_threads
 
 Array = NDArray[np.float64]
 
@@ -195,8 +195,8 @@ def _show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[st
             points = scene.means[view]
             others = [cameras[other] for other in np.flatnonzero(shown)]
             beyond = ~np.logical_or.reduce([_inside(points, camera) for camera in others])
-            faint = scene.opacities[view]
-            faint[beyond] = np.maximum(faint[beyond], middles.max())
+            clear = np.maximum(scene.opacities[view], middles.max())
+            scene.opacities[view] = np.where(beyond, clear, 0)
             shown[view] = True
             notes.append(f"view {view + 1}: shown beyond what the other views show")
     return notes

@@ -29,7 +29,6 @@ from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos import Photos
 from styl3r_cli.pipeline import Scene
-from styl3r_cli.placement import placed
 from styl3r_cli.quality import FITTED
 
 if TYPE_CHECKING:  # it brings numba
@@ -122,6 +121,8 @@ def _measured(
 def _recover(
     scene: Scene, photos: Photos, threads: int | None, console: Console
 ) -> tuple[Scene, Recovered]:
+    from styl3r_cli.placement import placed  # brings OpenCV, which takes a while
+
     measured = photos.focals_measured
     recovered = recover(scene.means, scene.opacities, scene.intrinsics, measured)
     scene, recovered = placed(scene, recovered, threads)

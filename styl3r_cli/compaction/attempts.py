@@ -17,7 +17,7 @@ from styl3r_cli.fitting.refit import Target, refit, squared_errors
 from styl3r_cli.fitting.reshape import reshape
 from styl3r_cli.fitting.tracing import Trace, look
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import in_threads
+from styl3r_cli.threads import in_threads
 
 # Conjugate gradients of a step of shapes: 3 of them gain 0.6 dB less, 12 gain 0.1 dB more.
 RESHAPE_STEPS = 6

@@ -19,7 +19,8 @@ from styl3r_cli.fitting.shares import SMALLEST_SHARE
 from styl3r_cli.fitting.tracing import Trace, look_within, pixel_of
 from styl3r_cli.frames import reduced
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import in_threads, kernel
+from styl3r_cli.splatting.compiler import kernel
+from styl3r_cli.threads import in_threads
 
 # Part of a pixel that every Gaussian counts for, so that a node of hardly seen ones has a mean.
 LEAST_WEIGHT = 1e-3

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.fitting.tracing import Trace
 from styl3r_cli.gaussians import FloatArray
-from styl3r_cli.splatting.compiler import in_threads
+from styl3r_cli.threads import in_threads
 
 # How much a colour is held to the one it had, beside what the frames say of it: little, for
 # Gaussians of which the frames show next to nothing.

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from styl3r_cli.fitting.refit import GREY, Target
 from styl3r_cli.fitting.tracing import Trace, pixel_of
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import in_threads, inlined, kernel
+from styl3r_cli.splatting.compiler import inlined, kernel
 from styl3r_cli.splatting.constants import ALPHA_MAX, DILATION
+from styl3r_cli.threads import in_threads
 
 # A Gaussian's unknowns: three colours, and the logarithms of its opacity and of its scale.
 UNKNOWNS, OPACITY, SCALE = 5, 3, 4

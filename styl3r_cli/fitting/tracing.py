@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.fitting.shares import list_shares
 from styl3r_cli.gaussians import FloatArray, Gaussians
-from styl3r_cli.splatting.compiler import in_threads, inlined, kernel
+from styl3r_cli.splatting.compiler import inlined, kernel
 from styl3r_cli.splatting.constants import TILE
 from styl3r_cli.splatting.projection import near_plane, project
 from styl3r_cli.splatting.tiles import tile_lists
+from styl3r_cli.threads import in_threads
 
 # Shares per pixel that memory is set aside for at first (what stays unused costs none); scenes of
 # many semi-transparent layers have more, and are traced again with as much as they need. Scenes of

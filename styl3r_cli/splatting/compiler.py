@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from itertools import pairwise
@@ -17,14 +15,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from styl3r_cli.threads import default_threads, in_threads
+
 # What LLVM may change in float arithmetic: fuse a*b+c (faster and more exact) and ignore the sign
 # of zero. Neither reorders sums, so a picture is the same on every run and thread count.
 EXACT_ENOUGH = {"contract", "nsz"}
 
 # More parts than threads, because some bands of a frame hold many more splats than others.
 PARTS_PER_THREAD = 4
-
-_pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
 def inlined(function: Callable[..., Any], fastmath: set[str] | None = None) -> Callable[..., Any]:
@@ -127,13 +125,6 @@ def _sources(file: Path) -> str:
     return digest.hexdigest()
 
 
-def default_threads() -> int:
-    """The cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1
-
-
 def part_count(count: int, threads: int | None) -> int:
     """Into how many parts that many things are best cut."""
     threads = default_threads() if threads is None else max(1, threads)
@@ -168,34 +159,3 @@ def parallel_for(
         bounds[1:-1] = np.searchsorted(costs, costs[-1] * np.arange(1, parts) / parts)
     calls = [(b, e, *arguments, *scratch()) for b, e in pairwise(bounds.tolist()) if b < e]
     in_threads(lambda call: compiled(*call), calls, threads)
-
-
-def in_threads(work: Callable[[Any], Any], things: Sequence[Any], threads: int | None) -> list[Any]:
-    """The results of ``work`` on each of a few things, in their order.
-
-    Args:
-        work: leaves the GIL to others, as kernels and numpy do, and starts no threads itself.
-        things: what to do it with.
-        threads: how many to use; None for every core.
-    """
-    threads = default_threads() if threads is None else max(1, threads)
-    if len(things) <= 1 or threads == 1:
-        return [work(thing) for thing in things]
-    pool = _pool(threads)
-    try:
-        futures = [pool.submit(work, thing) for thing in things]
-        return [future.result() for future in futures]
-    except (KeyboardInterrupt, SystemExit):
-        # It may have come while a thread was started, of which the pool does not know then: at
-        # its exit Python would wait for that thread, and that thread for work.
-        _pools.pop((os.getpid(), threads), None)
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-
-
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """This process's pool of that many threads (a forked child cannot use its parent's)."""
-    key = (os.getpid(), threads)
-    if key not in _pools:
-        _pools[key] = ThreadPoolExecutor(threads, thread_name_prefix="splatting")
-    return _pools[key]

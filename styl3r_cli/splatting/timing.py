@@ -19,8 +19,8 @@ import numpy as np
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.splatting import ray_traced
-from styl3r_cli.splatting.compiler import default_threads
 from styl3r_cli.splatting.renderer import render
+from styl3r_cli.threads import default_threads
 
 RENDERER, TWIN = "styl3r", "torch twin"
 SEED = 0
