@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.agreement import Pair, compare, explained, rays
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.pnp import find_pose
+from styl3r_cli.cameras.pointmap import inlier_ratio
 from styl3r_cli.cameras.pose_errors import motion
-from styl3r_cli.cameras.poses import to_quaternion
 from styl3r_cli.cameras.recover import Recovered
-from styl3r_cli.cameras.similarity import moved_camera, size_and_step, size_of
+from styl3r_cli.cameras.similarity import moved_camera, size_and_step
 from styl3r_cli.cameras.two_view import features
+from styl3r_cli.moved_views import copied, move_view, show_again
 from styl3r_cli.pipeline import Scene
 from styl3r_cli.threads import in_threads
 
@@ -30,8 +31,6 @@ Array = NDArray[np.float64]
 
 # Views are moved if, over all of their matches with those that stay, so many more are explained.
 WORTH_MOVING = 1.3
-# A view was given up if it is so much fainter than the one that is least so.
-FAINT = 0.5
 
 
 def placed(
@@ -169,69 +168,22 @@ class _Mover:
             if pair.confirmed or pair.motion is not None
             for view in (pair.first, pair.second)
         }
-        scene, sure = _copied(self.scene), sorted(self.sure & matched)
+        scene, sure = copied(self.scene), sorted(self.sure & matched)
         cameras, found = list(recovered.cameras), list(recovered.recovered)
         for view in sure:
             cameras[view], found[view] = self.cameras[view], True
             if view in self.moves:
-                _move_view(scene, view, self.moves[view])
+                move_view(scene, view, self.moves[view])
         wrong = tuple(f"view {view + 1}:" for view in sure if not recovered.recovered[view])
         notes = [note for note in recovered.notes if not note.startswith(wrong)]
         notes += [self.notes[view] for view in sorted(self.notes)]
-        notes += _show_again(scene, cameras, sure)
-        return scene, replace(recovered, cameras=cameras, recovered=found, notes=notes)
-
-
-def _show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[str]:
-    """Make views that were given up visible beyond what the others show; returns notes.
-
-    Their depths come from wrong matches: within the others' frames they would only be in the way.
-    """
-    middles = np.median(np.nan_to_num(scene.opacities), axis=(1, 2))
-    shown = middles >= FAINT * middles.max()
-    notes = []
-    for view in sure:
-        if not shown[view]:
-            points = scene.means[view]
-            others = [cameras[other] for other in np.flatnonzero(shown)]
-            beyond = ~np.logical_or.reduce([_inside(points, camera) for camera in others])
-            clear = np.maximum(scene.opacities[view], middles.max())
-            scene.opacities[view] = np.where(beyond, clear, 0)
-            shown[view] = True
-            notes.append(f"view {view + 1}: shown beyond what the other views show")
-    return notes
-
-
-def _inside(points: NDArray[np.float32], camera: Camera) -> NDArray[np.bool_]:
-    """(H, W), which points (H, W, 3) are in a camera's frame."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        seen = points @ camera.extrinsics[:3, :3].T + camera.extrinsics[:3, 3]
-        u = camera.fx * seen[..., 0] / seen[..., 2] + camera.cx
-        v = camera.fy * seen[..., 1] / seen[..., 2] + camera.cy
-        within = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    return within & (seen[..., 2] > 0)
-
-
-def _copied(scene: Scene) -> Scene:
-    """A scene whose geometry may be changed."""
-    return replace(
-        scene,
-        means=scene.means.copy(),
-        scales=scene.scales.copy(),
-        rotations=scene.rotations.copy(),
-        opacities=scene.opacities.copy(),
-    )
-
-
-def _move_view(scene: Scene, view: int, change: Array) -> None:
-    """Move a view's Gaussians by a similarity of the world."""
-    size = size_of(change)
-    points = scene.means[view].astype(np.float64)
-    scene.means[view] = points @ change[:3, :3].T + change[:3, 3]
-    scene.scales[view] *= np.float32(size)
-    w, x, y, z = to_quaternion(change[:3, :3] / size)
-    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    scene.rotations[view] = scene.rotations[view].astype(np.float64) @ left.T
+        notes += show_again(scene, cameras, sure)
+        ratios = list(recovered.inlier_ratios)
+        for view in sure:
+            ratios[view] = inlier_ratio(scene.means[view], scene.opacities[view], cameras[view])
+        return scene, Recovered(
+            cameras, ratios, found, recovered.focal, recovered.focal_given, notes
+        )
 
 
 def _groups(views: int, pairs: list[Pair]) -> list[set[int]]:

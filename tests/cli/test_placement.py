@@ -108,7 +108,8 @@ def given_up(scene: Scene, recovered: Recovered, view: int) -> tuple[Scene, Reco
     opacities, cameras, found = scene.opacities.copy(), [*recovered.cameras], [True] * 3
     opacities[view], cameras[view], found[view] = 0, cameras[view - 1], False
     notes = ["view 2: unclear", f"view {view + 1}: no camera explains its points"]
-    there = replace(recovered, cameras=cameras, recovered=found, notes=notes)
+    ratios = [1.0 if each else 0.0 for each in found]
+    there = Recovered(cameras, ratios, found, recovered.focal, recovered.focal_given, notes)
     return replace(scene, opacities=opacities), there
 
 
@@ -116,6 +117,7 @@ def test_a_view_that_was_given_up_is_shown_beyond_the_others() -> None:
     scene, recovered = wall(3)
     made, found = placed(*given_up(scene, recovered, 2))
     assert found.recovered == [True] * 3
+    assert min(found.inlier_ratios) > 0.99
     assert max(errors(found, recovered)) < 0.1
     assert found.notes == ["view 2: unclear", "view 3: shown beyond what the other views show"]
     u, v, z = np.moveaxis(in_camera(scene.means[2], recovered.cameras[1]), -1, 0)

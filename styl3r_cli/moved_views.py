@@ -1,0 +1,70 @@
+"""What becomes of a scene's Gaussians when a view of it is moved, or shown again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.poses import to_quaternion
+from styl3r_cli.cameras.similarity import size_of
+from styl3r_cli.pipeline import Scene
+
+Array = NDArray[np.float64]
+
+# A view was given up if it is so much fainter than the one that is least so.
+FAINT = 0.5
+
+
+def copied(scene: Scene) -> Scene:
+    """A scene whose geometry may be changed."""
+    return replace(
+        scene,
+        means=scene.means.copy(),
+        scales=scene.scales.copy(),
+        rotations=scene.rotations.copy(),
+        opacities=scene.opacities.copy(),
+    )
+
+
+def move_view(scene: Scene, view: int, change: Array) -> None:
+    """Move a view's Gaussians by a similarity of the world."""
+    size = size_of(change)
+    points = scene.means[view].astype(np.float64)
+    scene.means[view] = points @ change[:3, :3].T + change[:3, 3]
+    scene.scales[view] *= np.float32(size)
+    w, x, y, z = to_quaternion(change[:3, :3] / size)
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    scene.rotations[view] = scene.rotations[view].astype(np.float64) @ left.T
+
+
+def show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[str]:
+    """Make views that were given up visible beyond what the others show; returns notes.
+
+    Their depths come from wrong matches: within the others' frames they would only be in the way.
+    """
+    middles = np.median(np.nan_to_num(scene.opacities), axis=(1, 2))
+    shown = middles >= FAINT * middles.max()
+    notes = []
+    for view in sure:
+        if not shown[view]:
+            points = scene.means[view]
+            others = [cameras[other] for other in np.flatnonzero(shown)]
+            beyond = ~np.logical_or.reduce([_inside(points, camera) for camera in others])
+            clear = np.maximum(scene.opacities[view], middles.max())
+            scene.opacities[view] = np.where(beyond, clear, 0)
+            shown[view] = True
+            notes.append(f"view {view + 1}: shown beyond what the other views show")
+    return notes
+
+
+def _inside(points: NDArray[np.float32], camera: Camera) -> NDArray[np.bool_]:
+    """(H, W), which points (H, W, 3) are in a camera's frame."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        seen = points @ camera.extrinsics[:3, :3].T + camera.extrinsics[:3, 3]
+        u = camera.fx * seen[..., 0] / seen[..., 2] + camera.cx
+        v = camera.fy * seen[..., 1] / seen[..., 2] + camera.cy
+        within = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return within & (seen[..., 2] > 0)
