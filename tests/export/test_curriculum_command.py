@@ -240,8 +240,7 @@ def test_what_is_not_there_is_said(
         (["--data", "empty", "--start", "no.pt"], "no.pt"),
     ):
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["curriculum", "geometry", *option, "--out", "run"])
         with pytest.raises(SystemExit) as exit_info:
-            command.main()
+            train(monkeypatch, "geometry", *option, "--out", "run")
         assert exit_info.value.code in (2, 3, 4)
         assert words in capsys.readouterr().err.splitlines()[-1]
