@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.poses import to_quaternion
 from styl3r_cli.cameras.similarity import size_of
+from styl3r_cli.meetings import project
 from styl3r_cli.pipeline import Scene
 
 Array = NDArray[np.float64]
@@ -40,31 +41,27 @@ def move_view(scene: Scene, view: int, change: Array) -> None:
     scene.rotations[view] = scene.rotations[view].astype(np.float64) @ left.T
 
 
-def show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[str]:
-    """Make views that were given up visible beyond what the others show; returns notes.
+def show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[int]:
+    """Make views that were given up visible beyond what the others show; returns which.
 
     Their depths come from wrong matches: within the others' frames they would only be in the way.
     """
     middles = np.median(np.nan_to_num(scene.opacities), axis=(1, 2))
     shown = middles >= FAINT * middles.max()
-    notes = []
-    for view in sure:
-        if not shown[view]:
-            points = scene.means[view]
-            others = [cameras[other] for other in np.flatnonzero(shown)]
-            beyond = ~np.logical_or.reduce([_inside(points, camera) for camera in others])
-            clear = np.maximum(scene.opacities[view], middles.max())
-            scene.opacities[view] = np.where(beyond, clear, 0)
-            shown[view] = True
-            notes.append(f"view {view + 1}: shown beyond what the other views show")
-    return notes
+    again = [view for view in sure if not shown[view]]
+    for view in again:
+        beyond = np.ones(scene.opacities[view].shape, np.bool_)
+        for other in np.flatnonzero(shown):
+            beyond &= ~_inside(scene.means[view], cameras[other])
+        clear = np.maximum(scene.opacities[view], middles.max())
+        scene.opacities[view] = np.where(beyond, clear, 0)
+        shown[view] = True
+    return again
 
 
 def _inside(points: NDArray[np.float32], camera: Camera) -> NDArray[np.bool_]:
     """(H, W), which points (H, W, 3) are in a camera's frame."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        seen = points @ camera.extrinsics[:3, :3].T + camera.extrinsics[:3, 3]
-        u = camera.fx * seen[..., 0] / seen[..., 2] + camera.cx
-        v = camera.fy * seen[..., 1] / seen[..., 2] + camera.cy
-        within = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    return within & (seen[..., 2] > 0)
+    x, y, _ = project(points, camera)
+    return (np.abs(x - (camera.width - 1) / 2) < camera.width / 2) & (
+        np.abs(y - (camera.height - 1) / 2) < camera.height / 2
+    )

@@ -44,7 +44,7 @@ class Painter:
     worked out once.
 
     Example:
-        >>> painter = Painter(stylizer, scene, recover(scene.means, scene.opacities))
+        >>> painter = Painter(stylizer, *locate_views(scene))
         >>> gaussians, repairs = painter([load_style(path).image])
     """
 

@@ -9,20 +9,21 @@ another explanation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from styl3r_cli.cameras.agreement import Pair, compare, explained, rays
+from styl3r_cli.cameras.agreement import Pair, compare, explained
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.pnp import find_pose
 from styl3r_cli.cameras.pointmap import inlier_ratio
 from styl3r_cli.cameras.pose_errors import motion
-from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.cameras.recover import Recovered, recover
 from styl3r_cli.cameras.similarity import moved_camera, size_and_step
-from styl3r_cli.cameras.two_view import features
+from styl3r_cli.cameras.two_view import features, rays
 from styl3r_cli.moved_views import copied, move_view, show_again
 from styl3r_cli.pipeline import Scene
 from styl3r_cli.threads import in_threads
@@ -31,6 +32,22 @@ Array = NDArray[np.float64]
 
 # Views are moved if, over all of their matches with those that stay, so many more are explained.
 WORTH_MOVING = 1.3
+
+
+def locate_views(
+    scene: Scene, measured: Sequence[bool] | None = None, threads: int | None = None
+) -> tuple[Scene, Recovered]:
+    """Find where each view was taken from: by its points, and where those are wrong by features.
+
+    Args:
+        scene: from `Stylizer.encode`.
+        measured: as `recover` takes it: whether each view's focal length is to be kept.
+        threads: None for every core.
+
+    Returns:
+        The scene, with views moved that were in the wrong place, and its cameras.
+    """
+    return placed(scene, recover(scene.means, scene.opacities, scene.intrinsics, measured), threads)
 
 
 def placed(
@@ -78,23 +95,24 @@ class _Mover:
         self.scene, self.cameras, self.pairs = scene, cameras, pairs
         self.moves: dict[int, Array] = {}  # of views, similarities of the world
         self.notes: dict[int, str] = {}  # of the first of them that were moved together
-        self.sure: set[int] = {0}  # views that features confirm
+        said = [pair for pair in pairs if pair.confirmed or pair.motion is not None]
+        self.matched = {view for pair in said for view in (pair.first, pair.second)}
+        self.groups = _groups(len(cameras), pairs, self.matched)
+        self.sure = self.groups.pop(0)  # views that are where they belong
 
     def move_all(self) -> None:
         """Bring one group after the other to the first view's, those that are surest first."""
-        groups = _groups(len(self.cameras), self.pairs)
-        self.sure = groups.pop(0)
-        while groups:
+        while self.groups:
             links = [
                 (int(pair.explained.sum()), -number, pair, group)
                 for number, pair in enumerate(self.pairs)
-                for group in groups
+                for group in self.groups
                 if pair.motion is not None and _links(pair, self.sure, group)
             ]
             if not links:
                 break
             *_, pair, group = max(links)
-            groups.remove(group)
+            self.groups.remove(group)
             if self._move(pair, group):
                 self.sure |= group
 
@@ -113,10 +131,11 @@ class _Mover:
             return False
         self.cameras = cameras
         self.moves |= dict.fromkeys(group, change)
-        names = " and ".join(str(view + 1) for view in sorted(group))
-        self.notes[min(group)] = (
-            f"view {names}: placed by features that match: {after} of them fit, {before} did where "
-            "the network had it"
+        first, *others = sorted(group)
+        along = f" with views {', '.join(str(view + 1) for view in others)}" if others else ""
+        self.notes[first] = (
+            f"placed{along} by features that match: {after} of them fit, {before} did where the "
+            "network had it"
         )
         return True
 
@@ -139,8 +158,8 @@ class _Mover:
             still, other, uv, uv_other = other, still, uv_other, uv
             move = np.linalg.inv(move).astype(np.float64)
         stays, goes, fit = self.cameras[still], self.cameras[other], pair.explained
-        here = rays(uv[fit], stays) * self._depths(still, uv[fit])[:, None] @ move[:3, :3].T
-        there = rays(uv_other[fit], goes) * self._depths(other, uv_other[fit])[:, None]
+        here = self._seen_at(still, uv[fit]) @ move[:3, :3].T
+        there = self._seen_at(other, uv_other[fit])
         found = size_and_step(here, there, move[:3, 3])
         if found is None:
             return None
@@ -150,51 +169,49 @@ class _Mover:
         grown = np.diag([size, size, size, 1.0])
         return np.linalg.inv(target @ stays.extrinsics) @ grown @ goes.extrinsics
 
-    def _depths(self, view: int, pixels: Array) -> Array:
-        """(M,) z of a view's points at pixels, in its camera's frame."""
+    def _seen_at(self, view: int, pixels: Array) -> Array:
+        """(M, 3) places that a view has at pixels, in its camera's frame."""
         height, width = self.scene.means.shape[1:3]
         column = pixels[:, 0].astype(int).clip(0, width - 1)
         row = pixels[:, 1].astype(int).clip(0, height - 1)
         points = self.scene.means[view, row, column].astype(np.float64)
-        to_camera = self.cameras[view].extrinsics @ self.moves.get(view, np.eye(4))
+        camera = self.cameras[view]
+        to_camera = camera.extrinsics @ self.moves.get(view, np.eye(4))
         with np.errstate(invalid="ignore"):  # what is not finite is passed over later
-            return points @ to_camera[2, :3] + to_camera[2, 3]
+            depths = points @ to_camera[2, :3] + to_camera[2, 3]
+            return rays(pixels, camera.intrinsics) * depths[:, None]
 
     def result(self, recovered: Recovered) -> tuple[Scene, Recovered]:
         """The scene and its cameras after all moves."""
-        matched = {
-            view
-            for pair in self.pairs
-            if pair.confirmed or pair.motion is not None
-            for view in (pair.first, pair.second)
-        }
-        scene, sure = copied(self.scene), sorted(self.sure & matched)
+        scene, sure = copied(self.scene), sorted(self.sure & self.matched)
         cameras, found = list(recovered.cameras), list(recovered.recovered)
+        ratios, notes = list(recovered.inlier_ratios), dict(recovered.view_notes)
         for view in sure:
             cameras[view], found[view] = self.cameras[view], True
             if view in self.moves:
                 move_view(scene, view, self.moves[view])
-        wrong = tuple(f"view {view + 1}:" for view in sure if not recovered.recovered[view])
-        notes = [note for note in recovered.notes if not note.startswith(wrong)]
-        notes += [self.notes[view] for view in sorted(self.notes)]
-        notes += show_again(scene, cameras, sure)
-        ratios = list(recovered.inlier_ratios)
+        again = show_again(scene, cameras, sure)
         for view in sure:
             ratios[view] = inlier_ratio(scene.means[view], scene.opacities[view], cameras[view])
+            told = [self.notes[view]] if view in self.notes else []
+            told += ["shown beyond what the others show"] if view in again else []
+            if told:
+                notes[view] = f"view {view + 1}: {'; '.join(told)}"
+            elif not recovered.recovered[view]:
+                notes.pop(view, None)
         return scene, Recovered(
-            cameras, ratios, found, recovered.focal, recovered.focal_given, notes
-        )
+            cameras, ratios, found, recovered.focal, recovered.focal_given,
+            recovered.focal_notes, notes,
+        )  # fmt: skip
 
 
-def _groups(views: int, pairs: list[Pair]) -> list[set[int]]:
+def _groups(views: int, pairs: list[Pair], matched: set[int]) -> list[set[int]]:
     """Views that confirmed pairs connect; the first view's group first.
 
     A view that no pair says anything about stays with the first.
     """
-    known = {view for pair in pairs if pair.confirmed or pair.motion is not None
-             for view in (pair.first, pair.second)}  # fmt: skip
-    groups: list[set[int]] = [{0} | {view for view in range(views) if view not in known}]
-    groups += [{view} for view in range(1, views) if view in known]
+    groups: list[set[int]] = [{0} | (set(range(views)) - matched)]
+    groups += [{view} for view in range(1, views) if view in matched]
     for pair in pairs:
         if pair.confirmed:
             one, two = (next(g for g in groups if v in g) for v in (pair.first, pair.second))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.pose_errors import motion
-from styl3r_cli.cameras.two_view import Features, match, solve
+from styl3r_cli.cameras.two_view import Features, match, rays, solve
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def explained(
         one: the first camera's intrinsics.
         two: the second's.
     """
-    a, b = (rays(uv, camera) for uv, camera in zip(pixels, (one, two), strict=True))
+    a, b = (rays(uv, camera.intrinsics) for uv, camera in zip(pixels, (one, two), strict=True))
     turned, step = a @ move[:3, :3].T, move[:3, 3]
     length = np.linalg.norm(step)
     with np.errstate(divide="ignore", invalid="ignore"):  # what is not finite explains nothing
@@ -113,10 +113,3 @@ def _meeting(turned: Array, b: Array, step: Array) -> tuple[Array, Array, Array]
     at, bt = turned @ step, b @ step
     bend = np.maximum(aa * bb - ab * ab, np.finfo(np.float64).tiny)
     return (ab * bt - at * bb) / bend, (aa * bt - ab * at) / bend, np.sqrt(bend / (aa * bb))
-
-
-def rays(pixels: Array, camera: Camera) -> Array:
-    """(M, 3) directions of pixels in their camera's frame, z = 1."""
-    k = camera.intrinsics
-    flat = (pixels - k[:2, 2]) / np.array([k[0, 0], k[1, 1]])
-    return np.concatenate([flat, np.ones((len(flat), 1))], axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,8 @@ class Recovered:
             neighbour's stands in.
         focal: the first view's fx as its point map says, pixels; None where it says nothing.
         focal_given: the first view's fx as the network was told, pixels; None where it was not.
-        notes: one line each on what went wrong.
+        focal_notes: one line each on what is wrong with the lens.
+        view_notes: one line each on what is wrong with views, or was, by their indices.
     """
 
     cameras: list[Camera]
@@ -39,7 +40,13 @@ class Recovered:
     recovered: list[bool]
     focal: float | None
     focal_given: float | None
-    notes: list[str]
+    focal_notes: list[str]
+    view_notes: dict[int, str] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> list[str]:
+        """One line each on what went wrong, views in their order."""
+        return [*self.focal_notes, *(self.view_notes[view] for view in sorted(self.view_notes))]
 
 
 def recover(
@@ -68,9 +75,10 @@ def recover(
     keep = [False] * views if measured is None or intrinsics is None else list(measured)
     focal = estimate_focal(means[0], opacities[0], given[0])
     correction = 1.0 if focal is None else focal / given[0].fx
-    notes = _focal_notes(focal, given[0].fx if intrinsics is not None else None, width)
+    focal_notes = _focal_notes(focal, given[0].fx if intrinsics is not None else None, width)
     cameras: list[Camera] = []
     recovered: list[bool] = []
+    notes: dict[int, str] = {}
     for view in range(views):
         factor = 1.0 if keep[view] else correction
         camera = replace(given[view], fx=given[view].fx * factor, fy=given[view].fy * factor)
@@ -78,18 +86,18 @@ def recover(
         recovered.append(pose is not None)
         if pose is None:
             pose = cameras[-1].extrinsics
-            notes.append(
+            notes[view] = (
                 f"view {view + 1}: no camera explains its points; view {view}'s stands in for it"
             )
         cameras.append(replace(camera, extrinsics=pose))
     ratios = [inlier_ratio(*view) for view in zip(means, opacities, cameras, strict=True)]
-    notes += [
-        f"view {view + 1}: only {ratio:.0%} of its points fit its camera, which may be wrong"
+    notes |= {
+        view: f"view {view + 1}: only {ratio:.0%} of its points fit its camera, which may be wrong"
         for view, ratio in enumerate(ratios)
         if view > 0 and recovered[view] and ratio < DOUBTFUL
-    ]
+    }
     told = given[0].fx if intrinsics is not None else None
-    return Recovered(cameras, ratios, recovered, focal, told, notes)
+    return Recovered(cameras, ratios, recovered, focal, told, focal_notes, notes)
 
 
 def _given_cameras(

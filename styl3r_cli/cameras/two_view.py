@@ -82,9 +82,7 @@ def solve(a: Array, b: Array, first_k: Array, second_k: Array) -> Array | None:
     """
     if len(a) < FEWEST_MATCHES:
         return None
-    rays_a, rays_b = (
-        (uv - k[:2, 2]) / np.array([k[0, 0], k[1, 1]]) for uv, k in ((a, first_k), (b, second_k))
-    )
+    rays_a, rays_b = (rays(uv, k)[:, :2] for uv, k in ((a, first_k), (b, second_k)))
     focal = float(np.mean([first_k[0, 0], first_k[1, 1], second_k[0, 0], second_k[1, 1]]))
     cv2.setRNGSeed(0)
     matrices, mask = cv2.findEssentialMat(
@@ -101,3 +99,9 @@ def solve(a: Array, b: Array, first_k: Array, second_k: Array) -> Array | None:
             best, most = np.eye(4), count
             best[:3, :3], best[:3, 3] = rotation, translation[:, 0]
     return best
+
+
+def rays(pixels: Array, k: Array) -> Array:
+    """(M, 3) directions of pixels in their camera's frame, z = 1, by its (3, 3) intrinsics."""
+    flat = (pixels - k[:2, 2]) / np.array([k[0, 0], k[1, 1]])
+    return np.concatenate([flat, np.ones((len(flat), 1))], axis=1)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from styl3r_cli import __version__
 from styl3r_cli.cameras.framing import uncropped
-from styl3r_cli.cameras.recover import Recovered, recover
+from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.cameras.stored import cameras_to_metadata
 from styl3r_cli.commands.each import one_by_one
 from styl3r_cli.commands.options import LOOP_FPS, LOOP_FRAMES
@@ -121,11 +121,9 @@ def _measured(
 def _recover(
     scene: Scene, photos: Photos, threads: int | None, console: Console
 ) -> tuple[Scene, Recovered]:
-    from styl3r_cli.placement import placed  # brings OpenCV, which takes a while
+    from styl3r_cli.placement import locate_views  # brings OpenCV, which takes a while
 
-    measured = photos.focals_measured
-    recovered = recover(scene.means, scene.opacities, scene.intrinsics, measured)
-    scene, recovered = placed(scene, recovered, threads)
+    scene, recovered = locate_views(scene, photos.focals_measured, threads)
     for note in recovered.notes:
         console.note(note)
     return scene, recovered

@@ -11,7 +11,6 @@ import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.poses import Array
-from styl3r_cli.cameras.recover import recover
 from styl3r_cli.cameras.transforms import frames_of_photos, known_cameras, read_transforms
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, ModelError
@@ -22,7 +21,7 @@ from styl3r_cli.photos.depth import read_depth
 from styl3r_cli.photos.resize import fit_map
 from styl3r_cli.photos.views import same_shape
 from styl3r_cli.pipeline import Stylizer
-from styl3r_cli.placement import placed
+from styl3r_cli.placement import locate_views
 from styl3r_cli.tradeoff.points import GIVEN
 
 QUANTISERS = ("onnx", "onnx_ir")  # modules that making other precisions needs
@@ -187,7 +186,6 @@ def held_out_poses(
     known = known_cameras(cameras, paths)[0] if cameras else None
     everything = load_photos(paths, (size, size), fov, known)
     scene = Stylizer(model, "cpu", threads).encode(everything)
-    found = recover(scene.means, scene.opacities, scene.intrinsics, everything.focals_measured)
-    _, found = placed(scene, found, threads)
+    _, found = locate_views(scene, everything.focals_measured, threads)
     poses = [camera.extrinsics.tolist() for camera in found.cameras]
     return {"views": poses[: len(photos)], "poses": poses[len(photos) :]}

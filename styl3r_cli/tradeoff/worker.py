@@ -19,7 +19,6 @@ from styl3r_cli import endings, memory
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.depth_errors import view_depths
 from styl3r_cli.cameras.poses import centre
-from styl3r_cli.cameras.recover import recover
 from styl3r_cli.cameras.transforms import known_cameras
 from styl3r_cli.errors import ExitCode, OutputError, Styl3rError
 from styl3r_cli.files import atomic_write
@@ -29,7 +28,7 @@ from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.pipeline import Stylizer
-from styl3r_cli.placement import placed
+from styl3r_cli.placement import locate_views
 from styl3r_cli.quality import KEPT_DECIBELS, SHARES
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, between
 from styl3r_cli.tradeoff.bench import AGAIN, UNWRITABLE
@@ -75,8 +74,7 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
     for _ in range(2):
         with watch("structure"):
             scene = stylizer.encode(photos)
-        found = recover(scene.means, scene.opacities, scene.intrinsics, photos.focals_measured)
-        scene, found = placed(scene, found, threads)
+        scene, found = locate_views(scene, photos.focals_measured, threads)
         painter = Painter(stylizer, scene, found, threads, point["colours"] == "fitted")
         with watch("appearance"):
             gaussians, _ = painter(styles, strength=1.0 if styles else 0.0)

@@ -27,13 +27,10 @@ def misplace(scene: Scene, recovered: Recovered, views: list[int]) -> tuple[Scen
     """The views, with their cameras, turned, shifted and enlarged together."""
     means, scales, rotations = scene.means.copy(), scene.scales.copy(), scene.rotations.copy()
     cameras = list(recovered.cameras)
-    turn = Gaussians(
-        np.zeros((1, 3)), np.ones((1, 3)), quaternion(WRONG)[None], np.ones(1), np.ones((1, 3))
-    ).rotations[0]
     for view in views:
         means[view] = SIZE * means[view] @ WRONG.T + SHIFT
         scales[view] *= SIZE
-        rotations[view] = turn  # of Gaussians that had none
+        rotations[view] = quaternion(WRONG)  # of Gaussians that had none
         extrinsics = cameras[view].extrinsics.copy()
         extrinsics[:3, :3] = extrinsics[:3, :3] @ WRONG.T
         extrinsics[:3, 3] = SIZE * extrinsics[:3, 3] - extrinsics[:3, :3] @ SHIFT
@@ -83,7 +80,9 @@ def test_misplaced_views_go_back(views: list[int]) -> None:
         assert straight.min() > np.cos(np.radians(1))
     assert found.recovered == [True] * 4
     (note,) = found.notes
-    assert note.startswith("view " + " and ".join(str(view + 1) for view in views) + ": placed")
+    first, *others = views
+    along = "".join(f" with views {view + 1}" for view in others)
+    assert note.startswith(f"view {first + 1}: placed{along} by features")
 
 
 def test_what_was_moved_is_drawn_as_before() -> None:
@@ -107,9 +106,11 @@ def given_up(scene: Scene, recovered: Recovered, view: int) -> tuple[Scene, Reco
     """The view is invisible, and the camera of the view before it stands in for its own."""
     opacities, cameras, found = scene.opacities.copy(), [*recovered.cameras], [True] * 3
     opacities[view], cameras[view], found[view] = 0, cameras[view - 1], False
-    notes = ["view 2: unclear", f"view {view + 1}: no camera explains its points"]
+    notes = {view: f"view {view + 1}: no camera explains its points"}
     ratios = [1.0 if each else 0.0 for each in found]
-    there = Recovered(cameras, ratios, found, recovered.focal, recovered.focal_given, notes)
+    there = Recovered(
+        cameras, ratios, found, recovered.focal, recovered.focal_given, ["a lens"], notes
+    )
     return replace(scene, opacities=opacities), there
 
 
@@ -119,7 +120,7 @@ def test_a_view_that_was_given_up_is_shown_beyond_the_others() -> None:
     assert found.recovered == [True] * 3
     assert min(found.inlier_ratios) > 0.99
     assert max(errors(found, recovered)) < 0.1
-    assert found.notes == ["view 2: unclear", "view 3: shown beyond what the other views show"]
+    assert found.notes == ["a lens", "view 3: shown beyond what the others show"]
     u, v, z = np.moveaxis(in_camera(scene.means[2], recovered.cameras[1]), -1, 0)
     inside = (u > 0) & (u < SIDE) & (v > 0) & (v < SIDE) & (z > 0)
     assert 0.5 < inside.mean() < 0.98

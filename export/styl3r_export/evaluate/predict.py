@@ -11,14 +11,14 @@ import numpy as np
 import torch
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.recover import Recovered, recover
+from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.graphs import Model
 from styl3r_cli.photos.focal import ASSUMED_FOCAL, focal_from_equivalent
 from styl3r_cli.photos.load import Photos
 from styl3r_cli.photos.views import FocalSource
 from styl3r_cli.pipeline import Scene, Stylizer
-from styl3r_cli.placement import placed
+from styl3r_cli.placement import locate_views
 from styl3r_cli.sessions import Graph
 from styl3r_export.checkpoints import load_any
 from styl3r_export.evaluate.groups import Group
@@ -95,8 +95,7 @@ def predict(stylizer: Stylizer, group: Group, intrinsics: Intrinsics) -> Predict
     given = [given_camera(view, intrinsics) for view in group.views]
     photos = as_photos(group, given, intrinsics)
     scene = stylizer.encode(photos)
-    found = recover(scene.means, scene.opacities, scene.intrinsics, photos.focals_measured)
-    return Prediction(*placed(scene, found, 1), given)
+    return Prediction(*locate_views(scene, photos.focals_measured, 1), given)
 
 
 def given_camera(view: TrueView, intrinsics: Intrinsics) -> Camera:
