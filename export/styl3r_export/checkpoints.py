@@ -177,12 +177,22 @@ def load_own(path: Path) -> Styl3r:
         InputError: the file is no such checkpoint.
         CheckpointError: the weights do not belong to the configuration.
     """
-    return _own(path, read_checkpoint(path))
+    return _own(path, read_own(path))
 
 
-def _own(path: Path, content: Any) -> Styl3r:
+def read_own(path: Path) -> Mapping[str, Any]:
+    """The contents of a checkpoint that this project's training wrote.
+
+    Raises:
+        InputError: the file is no such checkpoint.
+    """
+    content = read_checkpoint(path)
     if not is_own(content):
         raise InputError(f"{path}: has no 'config' and 'model'; name a training run's checkpoint")
+    return content
+
+
+def _own(path: Path, content: Mapping[str, Any]) -> Styl3r:
     try:
         model = empty_model(ModelConfig.from_dict(dict(content["config"])))
     except Exception as error:  # sizes that do not belong together fail anywhere in torch

@@ -7,16 +7,15 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from styl3r_cli.errors import InputError
-from styl3r_export.checkpoints import listed
+from styl3r_export.checkpoints import listed, read_own
 from styl3r_export.curriculum.layout import channels_last
 from styl3r_export.graphs_reading import load_graphs
 from styl3r_export.model import ModelConfig, Styl3r, build
@@ -232,15 +231,12 @@ class Trainer:
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
-    """A checkpoint of this project, without executing anything in it.
+    """A checkpoint of this project, apart from its file: the run that goes on replaces that.
 
     Raises:
         InputError: it is none.
     """
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except (UnpicklingError, RuntimeError, EOFError) as error:
-        raise InputError(f"{path}: not a checkpoint, or a damaged one") from error
+    return deepcopy(dict(read_own(path)))
 
 
 def load_start(source: Path) -> dict[str, Any]:
