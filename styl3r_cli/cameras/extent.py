@@ -63,6 +63,11 @@ class Extent:
         nearest, middle, farthest = quantiles(depth[chosen], self.weights[chosen], shares)
         return nearest, middle, farthest
 
+    def share_in(self, camera: Camera) -> float:
+        """Share of the scene that is in a camera's frame; 0 of an empty one."""
+        _, inside, _ = self._project(camera)
+        return float(self.weights[inside].sum() / max(self.weights.sum(), FAINTEST))
+
     def coverage(self, camera: Camera) -> float:
         """Share of the frame behind which there is something, by a coarse grid."""
         _, inside, pixels = self._project(camera)

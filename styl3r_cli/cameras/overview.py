@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 # The frame and field of view of a scene that came without cameras.
 DEFAULT_SIZE = 512
 SMALLEST_FOV, LARGEST_FOV = math.radians(25), math.radians(90)
+# Of a scene made here, the first view sees what its own photo shows: one of at most 8.
+LEAST_SEEN = 1 / 8
 # Photos are taken level to about 6 degrees (0.1): so far their x axes are trusted.
 LEVEL = 0.1
 
@@ -28,12 +30,17 @@ def default_camera(
     """A camera for a scene that came without: the world's origin, looking along +z.
 
     That is the first view in the scenes made here; the field of view takes in most of what lies
-    in front. In a foreign scene that lies elsewhere, the camera steps back until it sees it.
+    in front. In a foreign scene that lies elsewhere, behind or beside what that sees, the camera
+    goes to where it sees it.
     """
     extent = Extent.of(gaussians)
     means, weights = extent.means, extent.weights
     extrinsics = np.eye(4)
-    if len(means) and quantiles(means[:, 2], weights, (0.5,))[0] <= 0:
+    widest_slope = math.tan(LARGEST_FOV / 2)
+    if len(means) and (
+        quantiles(means[:, 2], weights, (0.5,))[0] <= 0
+        or extent.share_in(_camera(extrinsics, widest_slope, width, height)) < LEAST_SEEN
+    ):
         middle = np.array([quantiles(axis, weights, (0.5,))[0] for axis in means.T])
         distances = np.linalg.norm(means - middle, axis=1)
         radius = quantiles(distances, weights, (FARTHEST,))[0]
@@ -45,7 +52,12 @@ def default_camera(
         slopes = np.abs(in_view[ahead, :2] / in_view[ahead, 2:] / [width, height]).max(axis=1)
         widest = quantiles(slopes, weights[ahead], (FARTHEST,))[0]
         slope = max(slope, max(width, height) * widest)
-    focal = max(width, height) / 2 / min(slope, math.tan(LARGEST_FOV / 2))
+    return _camera(extrinsics, min(slope, widest_slope), width, height)
+
+
+def _camera(extrinsics: Array, slope: float, width: int, height: int) -> Camera:
+    """A camera whose longer side reaches so far to either side, per unit of depth."""
+    focal = max(width, height) / 2 / slope
     return Camera(extrinsics, focal, focal, width / 2, height / 2, width, height)
 
 

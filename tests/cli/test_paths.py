@@ -144,6 +144,18 @@ def test_the_default_camera_steps_back_from_a_scene_around_the_origin():
     assert ((pixels >= 0) & (pixels <= [300, 200])).all(axis=1).mean() > 0.85
 
 
+@pytest.mark.parametrize("middle", [(8, 0, 5), (0, -30, 1), (450, 5400, 300)])
+@pytest.mark.parametrize("path", ["wobble", "orbit", "spiral", "dolly"])
+def test_a_scene_beside_the_view_from_the_origin_is_in_the_frame(middle, path):
+    means = np.random.default_rng(1).normal(0, 1, (2000, 3)) + middle
+    scene = replace(make_scene(), means=means)
+    for camera in [default_camera(scene, 300, 200), *make_path(path, [], scene, 4)]:
+        pixels = project(camera, means)
+        inside = ((pixels >= 0) & (pixels <= [camera.width, camera.height])).all(axis=1)
+        ahead = means @ camera.extrinsics[2, :3] + camera.extrinsics[2, 3] > 0
+        assert (inside & ahead).mean() > 0.5
+
+
 def test_scenes_without_anything_to_look_at():
     empty = make_scene().select(np.zeros(0, int))
     assert len(make_path("wobble", [], empty, 5)) == 5
