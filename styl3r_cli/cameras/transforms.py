@@ -31,6 +31,7 @@ from styl3r_cli.files import atomic_write
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 LENS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y")
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+DISTORTIONS = "distortion_params"  # all of them in one list, which nerfstudio reads instead
 PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")  # distortion apart
 # Instant NGP's names of other lenses; the second coefficient, as the first of a lens may be 0.
 OTHER_LENSES = ("is_fisheye", "ftheta_p1", "latlong", "equirectangular", "orthographic")
@@ -122,7 +123,10 @@ def transforms_of(
         cameras.append(_camera(values, size, where))
         file_paths.append(str(frame.get("file_path", "")))
         depth_paths.append(str(frame.get("depth_file_path") or ""))
-        distorted += any(number(values, key, where) for key in DISTORTION)
+        listed = values.get(DISTORTIONS)
+        distorted += any(number(values, key, where) for key in DISTORTION) or (
+            isinstance(listed, list) and any(listed)
+        )
     notes = []
     if distorted:
         notes.append(f"{name}: lens distortion in {distorted} frames is ignored; undistort first")

@@ -31,6 +31,7 @@ COLOURS = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
 ROTATIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
 PROPERTIES = (*MEANS, *NORMALS, *COLOURS, "opacity", *SCALES, *ROTATIONS)
+FILTER = "filter_3D"  # Mip-Splatting's smoothing (Yu et al. 2024), which it keeps apart
 REQUIRED = tuple(name for name in PROPERTIES if name not in NORMALS)
 
 _COMMENT = re.compile(r"([A-Za-z0-9_.-]+): (.*)", re.DOTALL)
@@ -59,6 +60,7 @@ def encode(gaussians: Gaussians, metadata: dict[str, str]) -> Encoded:
 def decode(data: bytes, name: str) -> Scene:
     """Read any 3DGS PLY: ASCII or binary, either byte order, properties in any order and type.
 
+    Mip-Splatting's smoothing filter becomes part of scales and opacities, as its renderer has it.
     View-dependent colours (`f_rest_*`), normals and unknown properties and elements are ignored;
     rotations need not be unit quaternions. A compressed PLY is recognised and read as such.
 
@@ -79,11 +81,14 @@ def decode(data: bytes, name: str) -> Scene:
     if any(name.startswith("f_rest_") and table.column(name).any() for name in table.names):
         notes.append("view-dependent colours (f_rest) are ignored")
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped just below
+        scales, opacities = _smoothed(
+            np.exp(_columns(table, SCALES)), sigmoid(table.column("opacity")), table
+        )
         gaussians = in_float32(
             means=_columns(table, MEANS),
-            scales=np.exp(_columns(table, SCALES)),
+            scales=scales,
             rotations=unit(_columns(table, ROTATIONS)),
-            opacities=sigmoid(table.column("opacity")),
+            opacities=opacities,
             colours=from_harmonics(_columns(table, COLOURS)),
         )
     kept = finite_only(gaussians, notes)
@@ -126,6 +131,17 @@ def _stored(gaussians: Gaussians) -> NDArray[np.float32]:
     columns[:, 10:13] = np.log(np.maximum(gaussians.scales, SMALLEST_SCALE, dtype=np.float64))
     columns[:, 13:17] = unit(gaussians.rotations)
     return columns
+
+
+def _smoothed(
+    scales: NDArray[np.float64], opacities: NDArray[np.float64], table: Table
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(G, 3) scales and (G,) opacities after the filter: each is wider, and as much fainter."""
+    if FILTER not in table.names:
+        return scales, opacities
+    wider = np.hypot(scales, table.column(FILTER).astype(np.float64)[:, None])
+    shares = np.divide(scales, wider, out=np.ones_like(scales), where=wider != 0)
+    return wider, opacities * shares.prod(axis=1)
 
 
 def _require_gaussians(table: Table, name: str) -> None:

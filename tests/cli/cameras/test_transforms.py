@@ -114,6 +114,15 @@ def test_distortion_is_ignored_with_a_note() -> None:
     assert "lens distortion in 1 frames is ignored" in note
 
 
+def test_distortion_in_one_list_is_noted_as_well() -> None:
+    """What nerfstudio reads before k1, k2, ..."""
+    assert read_transforms(file(frame(), distortion_params=[0, 0.0, 0, 0])).notes == []
+    (note,) = read_transforms(file(frame(), frame(), distortion_params=[0, 0.1, 0, 0])).notes
+    assert "lens distortion in 2 frames is ignored" in note
+    for odd in ({}, "x", [None, {}], 5):
+        assert read_transforms(file(frame(), distortion_params=odd)).cameras
+
+
 def test_lenses_that_a_file_says_it_has_not_are_no_reason_to_refuse_it() -> None:
     """Instant NGP writes `is_fisheye: false` beside every lens that is none."""
     (found,) = read_transforms(file(frame(), is_fisheye=False, latlong=None)).cameras

@@ -138,6 +138,25 @@ def test_any_encoding_property_order_and_company(scene: Gaussians, text: bool, o
     assert back.notes == ["view-dependent colours (f_rest) are ignored"]
 
 
+def test_mip_splattings_filter_is_part_of_the_gaussians(scene: Gaussians) -> None:
+    """Its files keep the 3D smoothing filter (Yu et al. 2024) apart from scales and opacities."""
+    vertex = independent(encode_scene(scene).data)["vertex"].data
+    size = np.linspace(0, 0.1, len(scene)).astype("f4")
+    rows = np.zeros(len(scene), [*vertex.dtype.descr, ("filter_3D", "f4")])
+    for name in vertex.dtype.names:
+        rows[name] = vertex[name]
+    rows["filter_3D"] = size
+    buffer = io.BytesIO()
+    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")]).write(buffer)
+    back = read_scene(buffer.getvalue()).gaussians
+    squares = scene.scales.astype(float) ** 2
+    wider = squares + size[:, None].astype(float) ** 2
+    np.testing.assert_allclose(back.scales, np.sqrt(wider), rtol=1e-5)
+    # The same mass in a larger volume: the amplitude of a convolved Gaussian.
+    fainter = scene.opacities * np.sqrt(squares.prod(axis=1) / wider.prod(axis=1))
+    np.testing.assert_allclose(back.opacities, fainter, rtol=1e-4, atol=1e-7)
+
+
 def test_windows_line_ends(scene: Gaussians) -> None:
     data = encode_scene(scene, {"key": "value"}).data
     end = data.index(b"end_header\n") + len(b"end_header\n")
