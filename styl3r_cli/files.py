@@ -19,6 +19,9 @@ from styl3r_cli.pipes import first_bytes, opened_at_once, reader_of
 
 TEMP_PREFIX = ".styl3r-"  # hidden, and short: the target's own name may already be 255 bytes long
 STDOUT_CLOSED = "cannot write standard output: it is closed"
+# OpenCV logs warnings and worse on standard error, and all else on standard output.
+OPENCV_LOG, MOST_OPENCV_TELLS = "OPENCV_LOG_LEVEL", "WARNING"
+OPENCV_TELLS_LESS = ("SILENT", "DISABLED", "OFF", "FATAL", "ERROR")
 TEMP_MODE = 0o666  # what open() asks for, so that the user's umask decides as it always does
 
 _unfinished: set[Path] = set()  # temporary files of this process
@@ -90,6 +93,12 @@ def remove_unfinished() -> None:
     """Remove what `atomic_write` has not published, in whichever thread: the process ends."""
     for temporary in tuple(_unfinished):
         _remove(temporary)
+
+
+def keep_stdout_for_results() -> None:
+    """Keep OpenCV's log off standard output, whatever the environment asks; before its import."""
+    if os.environ.get(OPENCV_LOG, "OFF").upper() not in OPENCV_TELLS_LESS:
+        os.environ[OPENCV_LOG] = MOST_OPENCV_TELLS
 
 
 def write_stdout(data: bytes) -> None:

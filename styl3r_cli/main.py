@@ -15,7 +15,7 @@ import click
 
 from styl3r_cli import __version__, console, endings, limits, memory, needs
 from styl3r_cli.errors import BROKEN_PIPE, MEANINGS, ExitCode, Styl3rError
-from styl3r_cli.files import ClosedOutput
+from styl3r_cli.files import ClosedOutput, keep_stdout_for_results
 
 # Name: (module in styl3r_cli.commands, one line of help). The modules are imported on use only,
 # so that the list of commands needs none of their libraries.
@@ -138,6 +138,7 @@ def group() -> None:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit (the console script's entry point)."""
     _fill_standard_streams()
+    keep_stdout_for_results()
     endings.unwind_on_signals()
     if not sys.warnoptions:  # libraries' remarks on odd files are not for users; python -W shows
         warnings.simplefilter("ignore")

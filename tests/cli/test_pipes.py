@@ -99,6 +99,15 @@ def test_results_never_take_the_number_of_a_closed_stream(scene: Path, tmp_path:
     assert subprocess.run(["bash", "-c", command], timeout=60, **shell).returncode > 2  # type: ignore[call-overload]
 
 
+@pytest.mark.parametrize("level", ["INFO", "debug", "V"])
+def test_what_opencv_tells_stays_out_of_results(scene: Path, level: str) -> None:
+    """It logs what is less than a warning on standard output, in the midst of the pixels."""
+    environment = {**os.environ, "OPENCV_LOG_LEVEL": level}
+    wish = ("--frames", 2, "--size", "32x16", "-o", "-", "--format", "rgb")
+    result = styl3r("render", scene, *wish, env=environment)
+    assert (result.returncode, len(result.stdout)) == (0, 2 * 32 * 16 * 3)
+
+
 def lines(text: str) -> list[dict[str, object]]:
     return [json.loads(line) for line in text.splitlines()]
 
