@@ -121,6 +121,21 @@ def project(
     return x, y, depth
 
 
+def depths_at(
+    points: FloatArray, extrinsics: NDArray[np.float64], pixels: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(M,) depths that a view's (H, W, 3) points have at pixels (M, 2), those outside at the rim.
+
+    What is not finite there is none of them.
+    """
+    height, width = points.shape[:2]
+    column = pixels[:, 0].astype(int).clip(0, width - 1)
+    row = pixels[:, 1].astype(int).clip(0, height - 1)
+    with np.errstate(invalid="ignore"):
+        there = points[row, column].astype(np.float64)
+        return np.asarray(there @ extrinsics[2, :3] + extrinsics[2, 3])
+
+
 def _ramp(values: NDArray[np.floating], none: float, full: float) -> NDArray[np.floating]:
     """0 at `none`, 1 at `full`, between them on a line."""
     return np.clip((values - none) / (full - none), 0, 1)

@@ -34,7 +34,8 @@ def move_view(scene: Scene, view: int, change: Array) -> None:
     """Move a view's Gaussians by a similarity of the world."""
     size = size_of(change)
     points = scene.means[view].astype(np.float64)
-    scene.means[view] = points @ change[:3, :3].T + change[:3, 3]
+    with np.errstate(invalid="ignore"):  # what is not finite stays so
+        scene.means[view] = points @ change[:3, :3].T + change[:3, 3]
     scene.scales[view] *= np.float32(size)
     w, x, y, z = to_quaternion(change[:3, :3] / size)
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])

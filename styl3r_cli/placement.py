@@ -11,22 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.agreement import Pair, compare, explained
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.matches import Matches
 from styl3r_cli.cameras.pnp import find_pose
 from styl3r_cli.cameras.pointmap import inlier_ratio
 from styl3r_cli.cameras.pose_errors import motion
-from styl3r_cli.cameras.recover import Recovered, recover
+from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.cameras.similarity import moved_camera, size_and_step
-from styl3r_cli.cameras.two_view import features, rays
+from styl3r_cli.cameras.two_view import rays
+from styl3r_cli.meetings import depths_at
 from styl3r_cli.moved_views import copied, move_view, show_again
 from styl3r_cli.pipeline import Scene
-from styl3r_cli.threads import in_threads
 
 Array = NDArray[np.float64]
 
@@ -34,24 +34,8 @@ Array = NDArray[np.float64]
 WORTH_MOVING = 1.3
 
 
-def locate_views(
-    scene: Scene, measured: Sequence[bool] | None = None, threads: int | None = None
-) -> tuple[Scene, Recovered]:
-    """Find where each view was taken from: by its points, and where those are wrong by features.
-
-    Args:
-        scene: from `Stylizer.encode`.
-        measured: as `recover` takes it: whether each view's focal length is to be kept.
-        threads: None for every core.
-
-    Returns:
-        The scene, with views moved that were in the wrong place, and its cameras.
-    """
-    return placed(scene, recover(scene.means, scene.opacities, scene.intrinsics, measured), threads)
-
-
 def placed(
-    scene: Scene, recovered: Recovered, threads: int | None = None
+    scene: Scene, recovered: Recovered, matches: Sequence[Matches]
 ) -> tuple[Scene, Recovered]:
     """The scene and its cameras, with views moved whose features contradict their place.
 
@@ -63,18 +47,10 @@ def placed(
     Args:
         scene: from `Stylizer.encode`.
         recovered: its cameras.
-        threads: None for every core.
+        matches: of its views.
     """
-    pictures = (scene.images.transpose(0, 2, 3, 1) * 255).round().clip(0, 255).astype(np.uint8)
-    found = in_threads(features, list(pictures), threads)
-    cameras = [_own_camera(scene, recovered, view) for view in range(len(pictures))]
-
-    def look(index: tuple[int, int]) -> Pair:
-        first, second = index
-        return compare(index, (found[first], found[second]), cameras)
-
-    pairs = in_threads(look, list(combinations(range(len(pictures)), 2)), threads)
-    mover = _Mover(scene, cameras, pairs)
+    cameras = [_own_camera(scene, recovered, view) for view in range(len(scene.images))]
+    mover = _Mover(scene, cameras, [compare(each, cameras) for each in matches])
     mover.move_all()
     return mover.result(recovered)
 
@@ -171,15 +147,10 @@ class _Mover:
 
     def _seen_at(self, view: int, pixels: Array) -> Array:
         """(M, 3) places that a view has at pixels, in its camera's frame."""
-        height, width = self.scene.means.shape[1:3]
-        column = pixels[:, 0].astype(int).clip(0, width - 1)
-        row = pixels[:, 1].astype(int).clip(0, height - 1)
-        points = self.scene.means[view, row, column].astype(np.float64)
         camera = self.cameras[view]
         to_camera = camera.extrinsics @ self.moves.get(view, np.eye(4))
-        with np.errstate(invalid="ignore"):  # what is not finite is passed over later
-            depths = points @ to_camera[2, :3] + to_camera[2, 3]
-            return rays(pixels, camera.intrinsics) * depths[:, None]
+        depths = depths_at(self.scene.means[view], to_camera, pixels)
+        return rays(pixels, camera.intrinsics) * depths[:, None]
 
     def result(self, recovered: Recovered) -> tuple[Scene, Recovered]:
         """The scene and its cameras after all moves."""

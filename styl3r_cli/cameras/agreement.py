@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.matches import Matches
 from styl3r_cli.cameras.pose_errors import motion
-from styl3r_cli.cameras.two_view import Features, match, rays, solve
+from styl3r_cli.cameras.two_view import rays, solve
 
 Array = NDArray[np.float64]
 
@@ -50,18 +51,15 @@ class Pair:
     confirmed: bool
 
 
-def compare(
-    index: tuple[int, int], found: tuple[Features, Features], cameras: list[Camera]
-) -> Pair:
-    """Match two views' features, and see what explains them.
+def compare(matches: Matches, cameras: list[Camera]) -> Pair:
+    """See what explains two views' matches.
 
     Args:
-        index: of the views.
-        found: their features.
+        matches: of their features.
         cameras: all views', as the network has them.
     """
+    pixels, index = matches.pixels, (matches.first, matches.second)
     one, two = (cameras[view] for view in index)
-    pixels = match(*found)
     enough = max(FEWEST, LEAST_SHARE * len(pixels[0]))
     ours = explained(motion(one.extrinsics, two.extrinsics), pixels, one, two)
     if len(pixels[0]) < FEWEST or ours.sum() >= CONTRADICTED * len(ours):
@@ -78,7 +76,7 @@ def compare(
 
 
 def explained(
-    move: Array, pixels: tuple[Array, Array], one: Camera, two: Camera
+    move: Array, pixels: tuple[Array, Array], one: Camera, two: Camera, within: float = NEAR
 ) -> NDArray[np.bool_]:
     """(M,) matches that a motion explains: near their epipolar lines, and in front of both cameras.
 
@@ -87,6 +85,7 @@ def explained(
         pixels: (M, 2) of the matches in both.
         one: the first camera's intrinsics.
         two: the second's.
+        within: so many pixels of the lines.
     """
     a, b = (rays(uv, camera.intrinsics) for uv, camera in zip(pixels, (one, two), strict=True))
     turned, step = a @ move[:3, :3].T, move[:3, 3]
@@ -94,14 +93,14 @@ def explained(
     with np.errstate(divide="ignore", invalid="ignore"):  # what is not finite explains nothing
         if not length > 0:
             off = np.linalg.norm(turned[:, :2] / turned[:, 2:] - b[:, :2], axis=1)
-            return (off * two.fx < NEAR) & (turned[:, 2] > 0)
+            return (off * two.fx < within) & (turned[:, 2] > 0)
         step = step / length
         essential = np.cross(step, move[:3, :3], axisb=0, axisc=0)
         line, back = a @ essential.T, b @ essential
         slopes = np.square(line[:, :2]).sum(axis=1) + np.square(back[:, :2]).sum(axis=1)
         off = np.abs((b * line).sum(axis=1)) / np.sqrt(slopes)  # Sampson's distance
         near, far, sine = _meeting(turned, b, step)
-    return (off * two.fx < NEAR) & ((sine < np.sin(LEAST_ANGLE)) | ((near > 0) & (far > 0)))
+    return (off * two.fx < within) & ((sine < np.sin(LEAST_ANGLE)) | ((near > 0) & (far > 0)))
 
 
 def _meeting(turned: Array, b: Array, step: Array) -> tuple[Array, Array, Array]:

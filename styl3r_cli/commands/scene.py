@@ -121,7 +121,7 @@ def _measured(
 def _recover(
     scene: Scene, photos: Photos, threads: int | None, console: Console
 ) -> tuple[Scene, Recovered]:
-    from styl3r_cli.placement import locate_views  # brings OpenCV, which takes a while
+    from styl3r_cli.locate import locate_views  # brings OpenCV, which takes a while
 
     scene, recovered = locate_views(scene, photos.focals_measured, threads)
     for note in recovered.notes:

@@ -15,13 +15,13 @@ from styl3r_cli.cameras.transforms import frames_of_photos, known_cameras, read_
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, ModelError
 from styl3r_cli.graphs import find
+from styl3r_cli.locate import locate_views
 from styl3r_cli.manifest import APPEARANCE, MANIFEST, STRUCTURE, check_file, read_manifest
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.photos.depth import read_depth
 from styl3r_cli.photos.resize import fit_map
 from styl3r_cli.photos.views import same_shape
 from styl3r_cli.pipeline import Stylizer
-from styl3r_cli.placement import locate_views
 from styl3r_cli.tradeoff.points import GIVEN
 
 QUANTISERS = ("onnx", "onnx_ir")  # modules that making other precisions needs

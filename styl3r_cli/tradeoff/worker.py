@@ -25,10 +25,10 @@ from styl3r_cli.files import atomic_write
 from styl3r_cli.formats import encode_scene
 from styl3r_cli.frames import Drawing, Picture, coarse, colours
 from styl3r_cli.gaussians import Gaussians
+from styl3r_cli.locate import locate_views
 from styl3r_cli.painter import Painter
 from styl3r_cli.photos import load_photos, load_style
 from styl3r_cli.pipeline import Stylizer
-from styl3r_cli.placement import locate_views
 from styl3r_cli.quality import KEPT_DECIBELS, SHARES
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, between
 from styl3r_cli.tradeoff.bench import AGAIN, UNWRITABLE

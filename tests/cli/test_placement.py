@@ -11,16 +11,23 @@ from numpy.typing import NDArray
 from wavy_wall import FOCAL, SIDE, wall
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.matches import match_views
 from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.overlaps import Overlaps
 from styl3r_cli.pipeline import Scene
-from styl3r_cli.placement import placed
+from styl3r_cli.placement import placed as placed_by
 from styl3r_cli.splatting import render
 
 WRONG = cv2.Rodrigues(np.array([0.3, -0.8, 0.5]))[0]
 SIZE, SHIFT = 1.3, np.array([0.4, -0.2, 0.5])
+
+
+def placed(
+    scene: Scene, recovered: Recovered, threads: int | None = None
+) -> tuple[Scene, Recovered]:
+    return placed_by(scene, recovered, match_views(scene.images, threads))
 
 
 def misplace(scene: Scene, recovered: Recovered, views: list[int]) -> tuple[Scene, Recovered]:

@@ -14,11 +14,11 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import FloatArray
 from styl3r_cli.graphs import Model
+from styl3r_cli.locate import locate_views
 from styl3r_cli.photos.focal import ASSUMED_FOCAL, focal_from_equivalent
 from styl3r_cli.photos.load import Photos
 from styl3r_cli.photos.views import FocalSource
 from styl3r_cli.pipeline import Scene, Stylizer
-from styl3r_cli.placement import locate_views
 from styl3r_cli.sessions import Graph
 from styl3r_export.checkpoints import load_any
 from styl3r_export.evaluate.groups import Group

@@ -1,0 +1,236 @@
+"""Cameras and depths brought together with the features that photos share.
+
+The network matches views in cells of 8 pixels, and every view with the middle one only. SIFT's
+features are where they are to a fifth of a pixel, and all views' count. Cameras turn and shift
+until features meet; depths follow by a smooth correction of each view, so that what the views
+agreed about stays together, and edges stay where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from styl3r_cli.cameras.agreement import explained
+from styl3r_cli.cameras.bundle import POSE, Adjusted, Sightings, adjust, misfit
+from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.matches import Matches
+from styl3r_cli.cameras.pointmap import inlier_ratio, pixel_centres
+from styl3r_cli.cameras.pose_errors import motion
+from styl3r_cli.cameras.poses import centre
+from styl3r_cli.cameras.recover import Recovered
+from styl3r_cli.cameras.two_view import rays
+from styl3r_cli.meetings import Ground, depths_at
+from styl3r_cli.moved_views import copied, move_view
+from styl3r_cli.overlaps import outwards
+from styl3r_cli.pipeline import Scene
+
+Array = NDArray[np.float64]
+
+# Of two views' matches so many, and such a part, must fit the cameras before they have a say.
+FEWEST, LEAST_SHARE = 12, 0.5
+# Pixels. Between true cameras, matches of real photos lie 0.15 from their epipolar lines (median).
+FEATURE_SIGMA = 0.25
+# Depths are off by their own errors, which no smooth correction takes away: parts of the parallax.
+PARALLAX_SIGMA = 0.03
+# What the network saw is kept in mind by how its points meet, every so many pixels. Neighbours'
+# are off together, so each counts little (pixels).
+MEETING_STEP, MEETING_SIGMA = 16, 4.0
+# An unknown must be worth so much of the features' robust cost, or all stays as it is: with few
+# features, or where the network is as good as they are, adjustment follows their noise.
+WORTH = 1.0
+# Pixels from their lines within which matches count, round by round: in the first, cameras that
+# are a degree off explain none to 2 pixels.
+ROUNDS = (10.0, 2.0)
+MOST_BEND = 2.0  # depths change by no larger factor
+BENDS = 9  # shapes that a view's depths may change by: `_bends`
+
+
+def adjusted(
+    scene: Scene, recovered: Recovered, matches: Sequence[Matches]
+) -> tuple[Scene, Recovered]:
+    """The scene and its cameras after bundle adjustment; as they were if it is of no use.
+
+    The first view's camera stays. Views whose camera is not known stay, too. Same input, same
+    result.
+
+    Args:
+        scene: from `Stylizer.encode`.
+        recovered: its cameras.
+        matches: of its views.
+    """
+    known = set(np.flatnonzero(recovered.recovered).tolist())
+    usable = [each for each in matches if {each.first, each.second} <= known]
+    for within in ROUNDS:
+        scene, recovered = _adjusted_once(scene, recovered, usable, sorted(known), within)
+    return scene, recovered
+
+
+def _adjusted_once(
+    scene: Scene,
+    recovered: Recovered,
+    matches: Sequence[Matches],
+    known: list[int],
+    within: float,
+) -> tuple[Scene, Recovered]:
+    cameras = recovered.cameras
+    eyes = [centre(cameras[view].extrinsics) for view in known]
+    steps = [float(np.linalg.norm(one - other)) for one, other in combinations(eyes, 2)]
+    unit = float(np.median(steps)) if steps else 0.0
+    views = _Views(scene, cameras)
+    features = views.features(matches, within)
+    if not features or not 0 < unit < np.inf:
+        return scene, recovered
+    extrinsics = np.stack([camera.extrinsics for camera in cameras])
+    start = Adjusted(extrinsics, np.zeros((len(cameras), BENDS)))
+    found = adjust([*features, *views.meetings(known)], extrinsics, unit)
+    unknowns = POSE * (len(known) - 1) + BENDS * len(known)
+    if not misfit(features, start) - misfit(features, found) >= WORTH * unknowns:
+        return scene, recovered
+    return _applied(views, known, found, recovered)
+
+
+class _Views:
+    """What views see of each other's places."""
+
+    def __init__(self, scene: Scene, cameras: list[Camera]) -> None:
+        self.scene, self.cameras = scene, cameras
+        pixels = pixel_centres(*scene.means.shape[1:3]).reshape(-1, 2)
+        depths = [
+            depths_at(points, camera.extrinsics, pixels)
+            for points, camera in zip(scene.means, cameras, strict=True)
+        ]
+        self.typical = [_typical(1 / depth[depth > 0]) for depth in depths]
+
+    def features(self, matches: Sequence[Matches], within: float) -> list[Sightings]:
+        """Where features are that the cameras explain to so many pixels, both ways."""
+        sightings: list[Sightings] = []
+        for first, second, pixels in matches:
+            one, two = self.cameras[first], self.cameras[second]
+            move = motion(one.extrinsics, two.extrinsics)
+            fit = explained(move, pixels, one, two, within)
+            if fit.sum() < max(FEWEST, LEAST_SHARE * len(fit)):
+                continue
+            here, there = pixels[0][fit], pixels[1][fit]
+            for pair, seen in (((first, second), (here, there)), ((second, first), (there, here))):
+                sightings += self._sightings(*pair, *seen, FEATURE_SIGMA, PARALLAX_SIGMA)
+        return sightings
+
+    def meetings(self, known: list[int]) -> list[Sightings]:
+        """Where the points of the middle view and of each other one are the same surface's.
+
+        These pairs are the ones that the network matched.
+        """
+        middle, *others = outwards(len(self.cameras), known)
+        sightings: list[Sightings] = []
+        for other in others:
+            for view, seer in ((middle, other), (other, middle)):
+                ground = Ground.of(self.scene.means[seer], self.cameras[seer])
+                grid = np.s_[MEETING_STEP // 2 :: MEETING_STEP]
+                meeting = ground.meet(self.scene.means[view][grid, grid])
+                agree = meeting.agrees
+                rows, columns = np.nonzero(agree)
+                here = np.stack([columns, rows], axis=1) * MEETING_STEP + (MEETING_STEP + 1) / 2
+                there = np.stack([meeting.x[agree] + 0.5, meeting.y[agree] + 0.5], axis=1)
+                sightings += self._sightings(
+                    view, seer, here, there.astype(np.float64), MEETING_SIGMA, 0.0
+                )
+        return sightings
+
+    def _sightings(
+        self, view: int, other: int, here: Array, there: Array, sigma: float, parallax: float
+    ) -> list[Sightings]:
+        """Of a view's places at pixels, which another sees at pixels of its own, if there are any.
+
+        Args:
+            view: whose places they are.
+            other: who sees them.
+            here: (M, 2) pixels of the view's.
+            there: (M, 2) pixels of the other's.
+            sigma: in pixels.
+            parallax: what is added to it along the way that depth moves them, parts of that way.
+        """
+        one, two = self.cameras[view], self.cameras[other]
+        depths = depths_at(self.scene.means[view], one.extrinsics, here)
+        with np.errstate(all="ignore"):
+            near = 1 / depths
+            move = motion(one.extrinsics, two.extrinsics)
+            turned = rays(here, one.intrinsics) @ move[:3, :3].T
+            far, place = _flat(turned), _flat(turned + near[:, None] * move[:3, 3])
+            shift = np.linalg.norm(place - far, axis=1)
+            along = move[:2, 3] - place * move[2, 3]
+            along /= np.linalg.norm(along, axis=1)[:, None]
+        good = (depths > 0) & np.isfinite(shift) & np.isfinite(along).all(axis=1)
+        if not good.any():
+            return []
+        bends = _bends(here, near, self.typical[view], one)[good]
+        across = np.full(int(good.sum()), sigma / two.fx)
+        sigmas = np.stack([np.hypot(across, parallax * shift[good]), across], axis=1)
+        seen = rays(there, two.intrinsics)[good, :2]
+        towards = rays(here, one.intrinsics)[good]
+        return [Sightings(view, other, towards, near[good], bends, seen, along[good], sigmas)]
+
+
+def _flat(places: Array) -> Array:
+    return places[:, :2] / places[:, 2:]
+
+
+def _typical(nearness: Array) -> float:
+    """The median of what is finite; 0 where nothing is."""
+    finite = nearness[np.isfinite(nearness)]
+    return float(np.median(finite)) if len(finite) else 0.0
+
+
+def _bends(pixels: Array, nearness: Array, typical: float, camera: Camera) -> Array:
+    """(M, BENDS) shapes that a view's depths may change by, all in units of nearness.
+
+    A wrong pose or lens of a camera that sees the same changes inverse depths, to first order, by
+    a part that varies linearly over the picture, and by a sum that varies as a quadric.
+
+    Args:
+        pixels: (M, 2).
+        nearness: (M,) inverse depths there.
+        typical: the view's median of them.
+        camera: the view's.
+    """
+    x, y = (pixels * 2 / np.array([camera.width, camera.height]) - 1).T
+    one = np.ones_like(x)
+    part = nearness * np.stack([one, x, y])
+    return np.concatenate([part, typical * np.stack([one, x, y, x * x, x * y, y * y])]).T
+
+
+def _applied(
+    views: _Views, known: list[int], found: Adjusted, recovered: Recovered
+) -> tuple[Scene, Recovered]:
+    """The scene and its cameras as an adjustment has them."""
+    scene, cameras, ratios = (
+        copied(views.scene),
+        list(recovered.cameras),
+        [*recovered.inlier_ratios],
+    )
+    for view in known:
+        camera = cameras[view]
+        _bend(scene, view, camera, found.coefficients[view], views.typical[view])
+        extrinsics = found.extrinsics[view]
+        move_view(scene, view, np.linalg.inv(extrinsics) @ camera.extrinsics)
+        cameras[view] = replace(camera, extrinsics=extrinsics)
+        ratios[view] = inlier_ratio(scene.means[view], scene.opacities[view], cameras[view])
+    return scene, replace(recovered, cameras=cameras, inlier_ratios=ratios)
+
+
+def _bend(scene: Scene, view: int, camera: Camera, coefficients: Array, typical: float) -> None:
+    """Move a view's Gaussians nearer or farther on their rays."""
+    height, width = scene.means.shape[1:3]
+    pixels = pixel_centres(height, width).reshape(-1, 2)
+    with np.errstate(all="ignore"):
+        nearness = 1 / depths_at(scene.means[view], camera.extrinsics, pixels)
+        factor = 1 / (1 + _bends(pixels, nearness, typical, camera) @ coefficients / nearness)
+    factor = np.where(nearness > 0, np.nan_to_num(factor, nan=1.0), 1.0)
+    factor = factor.clip(1 / MOST_BEND, MOST_BEND).reshape(height, width, 1)
+    eye = centre(camera.extrinsics)
+    scene.means[view] = eye + (scene.means[view] - eye) * factor
+    scene.scales[view] *= factor.astype(np.float32)
