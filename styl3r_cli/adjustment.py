@@ -25,7 +25,7 @@ from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.cameras.two_view import rays
 from styl3r_cli.meetings import Ground, depths_at
-from styl3r_cli.moved_views import copied, move_view
+from styl3r_cli.moved_views import copied, move_view, scale_depths
 from styl3r_cli.overlaps import outwards
 from styl3r_cli.pipeline import Scene
 
@@ -132,17 +132,21 @@ class _Views:
                 ground = Ground.of(self.scene.means[seer], self.cameras[seer])
                 grid = np.s_[MEETING_STEP // 2 :: MEETING_STEP]
                 meeting = ground.meet(self.scene.means[view][grid, grid])
-                agree = meeting.agrees
-                rows, columns = np.nonzero(agree)
-                here = np.stack([columns, rows], axis=1) * MEETING_STEP + (MEETING_STEP + 1) / 2
-                there = np.stack([meeting.x[agree] + 0.5, meeting.y[agree] + 0.5], axis=1)
-                sightings += self._sightings(
-                    view, seer, here, there.astype(np.float64), MEETING_SIGMA, 0.0
-                )
+                rows, columns = np.nonzero(meeting.agrees)
+                at = np.stack([columns, rows, meeting.x[rows, columns], meeting.y[rows, columns]])
+                at[:2] = at[:2] * MEETING_STEP + MEETING_STEP // 2
+                here, there = (each.T.astype(np.float64) + 0.5 for each in (at[:2], at[2:]))
+                sightings += self._sightings(view, seer, here, there, MEETING_SIGMA, 0.0)
         return sightings
 
     def _sightings(
-        self, view: int, other: int, here: Array, there: Array, sigma: float, parallax: float
+        self,
+        view: int,
+        other: int,
+        here: Array,
+        there: Array,
+        sigma: float,
+        parallax: float,
     ) -> list[Sightings]:
         """Of a view's places at pixels, which another sees at pixels of its own, if there are any.
 
@@ -229,8 +233,5 @@ def _bend(scene: Scene, view: int, camera: Camera, coefficients: Array, typical:
     with np.errstate(all="ignore"):
         nearness = 1 / depths_at(scene.means[view], camera.extrinsics, pixels)
         factor = 1 / (1 + _bends(pixels, nearness, typical, camera) @ coefficients / nearness)
-    factor = np.where(nearness > 0, np.nan_to_num(factor, nan=1.0), 1.0)
-    factor = factor.clip(1 / MOST_BEND, MOST_BEND).reshape(height, width, 1)
-    eye = centre(camera.extrinsics)
-    scene.means[view] = eye + (scene.means[view] - eye) * factor
-    scene.scales[view] *= factor.astype(np.float32)
+    factor = np.where(nearness > 0, factor.clip(1 / MOST_BEND, MOST_BEND), 1.0)
+    scale_depths(scene, view, camera, factor.reshape(height, width))

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from styl3r_cli.adjustment import adjusted
-from styl3r_cli.cameras.matches import match_views
+from styl3r_cli.cameras.matches import match_images, match_views
 from styl3r_cli.cameras.recover import Recovered, recover
+from styl3r_cli.photos.load import Photos
 from styl3r_cli.pipeline import Scene
 from styl3r_cli.placement import placed
+from styl3r_cli.smoothing import smoothed
 
 
 def locate_views(
-    scene: Scene, measured: Sequence[bool] | None = None, threads: int | None = None
+    scene: Scene, photos: Photos | None = None, threads: int | None = None
 ) -> tuple[Scene, Recovered]:
     """Find where each view was taken from, and bring the views together.
 
     Args:
         scene: from `Stylizer.encode`.
-        measured: as `recover` takes it: whether each view's focal length is to be kept.
+        photos: that it was encoded from: they show more features than the network's small pictures,
+            and say whose focal length was measured, and is kept. Without them, none was.
         threads: None for every core.
 
     Returns:
-        The scene, with views moved that were in the wrong place, and all of them as their features
-        meet; and its cameras.
+        The scene, with views moved that were in the wrong place, all of them as their features
+        meet, and depths without grain; and its cameras.
     """
+    measured = None if photos is None else photos.focals_measured
     recovered = recover(scene.means, scene.opacities, scene.intrinsics, measured)
-    matches = match_views(scene.images, threads)
-    return adjusted(*placed(scene, recovered, matches), matches)
+    if photos is None or not photos.details:
+        matches = match_images(scene.images, threads)
+    else:
+        matches = match_views(photos.details, scene.images.shape[2:], threads)
+    scene, recovered = adjusted(*placed(scene, recovered, matches), matches)
+    return smoothed(scene, recovered.cameras), recovered

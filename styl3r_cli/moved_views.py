@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.poses import to_quaternion
+from styl3r_cli.cameras.poses import centre, to_quaternion
 from styl3r_cli.cameras.similarity import size_of
 from styl3r_cli.meetings import project
 from styl3r_cli.pipeline import Scene
@@ -42,6 +42,18 @@ def move_view(scene: Scene, view: int, change: Array) -> None:
     scene.rotations[view] = scene.rotations[view].astype(np.float64) @ left.T
 
 
+def scale_depths(scene: Scene, view: int, camera: Camera, factors: Array) -> None:
+    """Move a view's Gaussians along their rays, to depths times (H, W) factors.
+
+    Factors that are not finite change nothing.
+    """
+    factors = np.where(np.isfinite(factors), factors, 1.0)[..., None]
+    eye = centre(camera.extrinsics)
+    with np.errstate(invalid="ignore"):  # what is not finite stays so
+        scene.means[view] = eye + (scene.means[view] - eye) * factors
+    scene.scales[view] *= factors.astype(np.float32)
+
+
 def show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[int]:
     """Make views that were given up visible beyond what the others show; returns which.
 
@@ -57,7 +69,7 @@ def show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[int
         clear = np.maximum(scene.opacities[view], middles.max())
         scene.opacities[view] = np.where(beyond, clear, 0)
         shown[view] = True
-    return again
+    return [view for view in again if (scene.opacities[view] > 0).any()]
 
 
 def _inside(points: NDArray[np.float32], camera: Camera) -> NDArray[np.bool_]:

@@ -44,7 +44,7 @@ class Painter:
     worked out once.
 
     Example:
-        >>> painter = Painter(stylizer, *locate_views(scene))
+        >>> painter = Painter(stylizer, *locate_views(scene, photos))
         >>> gaussians, repairs = painter([load_style(path).image])
     """
 

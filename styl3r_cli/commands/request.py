@@ -25,6 +25,7 @@ from styl3r_cli.photos.focal import focal_from_fov
 from styl3r_cli.photos.listing import parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE, MAX_VIEWS
 from styl3r_cli.pipeline import Stylizer, style_shares
+from styl3r_cli.pipes import is_pipe
 from styl3r_cli.quality import BEST, COMPACTED, FITTED, KEPT_DECIBELS, network_size
 
 
@@ -73,8 +74,10 @@ class SceneRequest:
 
     @property
     def suffix(self) -> str:
-        """The scene's format."""
-        return ".ply" if self.scene_path is None else scene_suffix(self.scene_path)
+        """The scene's format; a pipe's name says none, and gets what standard output gets."""
+        if self.scene_path is None or is_pipe(self.scene_path):
+            return ".ply"
+        return scene_suffix(self.scene_path)
 
 
 @dataclass(frozen=True)
@@ -200,7 +203,7 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
         focal_from_fov(request.fov, 1)
     scene = request.scene_path
     if scene is not None:
-        scene_suffix(scene)
+        _ = request.suffix  # a name that says no format is refused
     elif request.json:
         raise UsageError("--json and -o - both want standard output; give -o a file's name")
     else:

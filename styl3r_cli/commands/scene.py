@@ -123,7 +123,7 @@ def _recover(
 ) -> tuple[Scene, Recovered]:
     from styl3r_cli.locate import locate_views  # brings OpenCV, which takes a while
 
-    scene, recovered = locate_views(scene, photos.focals_measured, threads)
+    scene, recovered = locate_views(scene, photos, threads)
     for note in recovered.notes:
         console.note(note)
     return scene, recovered
@@ -146,7 +146,7 @@ def _write(
         encoded = encode_scene(gaussians, metadata)
         write_stdout(encoded.data)
     else:
-        encoded = write_scene(request.scene_path, gaussians, metadata)
+        encoded = write_scene(request.scene_path, gaussians, metadata, request.suffix)
     for note in encoded.notes:
         console.note(note)
     if request.cameras_out:

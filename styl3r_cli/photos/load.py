@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.photos.decode import Decoded, decode
 from styl3r_cli.photos.expand import name_some
-from styl3r_cli.photos.resize import PATCH, fit_intrinsics, fit_photo, fit_style
+from styl3r_cli.photos.resize import PATCH, detail_size, fit_intrinsics, fit_photo, fit_style
 from styl3r_cli.photos.similar import similar_pairs
 from styl3r_cli.photos.views import FocalSource, view_intrinsics
 
@@ -41,6 +41,8 @@ class Photos:
         sizes: N (width, height) of the photos as shown, before the resize.
         focal_sources: N times where the focal length is from.
         notes: one line each: views chosen or left out, pixels changed, focal lengths assumed.
+        details: N times (h, w, 3) uint8, what `images` show in up to twice their size, to find
+            features in; without any, `images` themselves are looked at.
     """
 
     images: NDArray[np.float32]
@@ -50,6 +52,7 @@ class Photos:
     sizes: list[tuple[int, int]]
     focal_sources: list[FocalSource]
     notes: list[str]
+    details: list[NDArray[np.uint8]] = field(default_factory=list)
 
     @property
     def focals_measured(self) -> list[bool]:
@@ -68,10 +71,11 @@ class Style:
 
 @dataclass(frozen=True)
 class _View:
-    """A decoded photo, of which only the small crop is kept."""
+    """A decoded photo, of which only small crops are kept."""
 
     path: Path
     pixels: NDArray[np.uint8]
+    detail: NDArray[np.uint8]
     size: tuple[int, int]
     equivalent_focal: float | None
     notes: list[str]
@@ -126,6 +130,7 @@ def load_photos(
         sizes=sizes,
         focal_sources=sources,
         notes=notes,
+        details=[view.detail for view in views],
     )
 
 
@@ -192,8 +197,10 @@ def _attempt(size: tuple[int, int]) -> Callable[[Path], _View | InputError]:
 
 
 def _view(path: Path, decoded: Decoded, size: tuple[int, int]) -> _View:
-    pixels = fit_photo(decoded.image, size).copy()  # a copy lets go of the uncropped picture
-    return _View(path, pixels, decoded.image.size, decoded.equivalent_focal, decoded.notes)
+    # Copies let go of the uncropped pictures.
+    pixels = fit_photo(decoded.image, size).copy()
+    detail = fit_photo(decoded.image, detail_size(decoded.image.size, size)).copy()
+    return _View(path, pixels, detail, decoded.image.size, decoded.equivalent_focal, decoded.notes)
 
 
 def _refuse_slivers(path: Path, image: Image.Image) -> None:

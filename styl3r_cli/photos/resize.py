@@ -12,6 +12,9 @@ PATCH = 16  # the network's patch size; both sides of its pictures are multiples
 # A photo that would have more pixels when it covers the frame is cropped as it is scaled: a frame
 # that is a sliver of it would take gigabytes.
 MOST_WHOLE_PIXELS = 1 << 26
+# Features are sought in twice the network's size: there are three times as many right matches (32
+# pairs of real photos of 640 pixels). Beyond 1024 pixels, finding them takes long.
+DETAIL, MOST_DETAIL = 2.0, 1024
 
 
 def fit_photo(image: Image.Image, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -39,6 +42,19 @@ def fit_photo(image: Image.Image, size: tuple[int, int]) -> NDArray[np.uint8]:
         return np.asarray(image.resize((width, height), Image.Resampling.LANCZOS, box))
     resized = image.resize((resized_width, resized_height), Image.Resampling.LANCZOS)
     return np.asarray(resized)[top : top + height, left : left + width]
+
+
+def detail_size(photo_size: tuple[int, int], size: tuple[int, int]) -> tuple[int, int]:
+    """(height, width) in which a photo's crop is looked at for features: no more than it has.
+
+    Args:
+        photo_size: (width, height) of the photo.
+        size: (height, width) of the network's crop of it.
+    """
+    height, width = size
+    given = min(photo_size[1] / height, photo_size[0] / width)
+    factor = max(1.0, min(DETAIL, given, MOST_DETAIL / max(size)))
+    return round(height * factor), round(width * factor)
 
 
 def fit_intrinsics(

@@ -186,6 +186,6 @@ def held_out_poses(
     known = known_cameras(cameras, paths)[0] if cameras else None
     everything = load_photos(paths, (size, size), fov, known)
     scene = Stylizer(model, "cpu", threads).encode(everything)
-    _, found = locate_views(scene, everything.focals_measured, threads)
+    _, found = locate_views(scene, everything, threads)
     poses = [camera.extrinsics.tolist() for camera in found.cameras]
     return {"views": poses[: len(photos)], "poses": poses[len(photos) :]}

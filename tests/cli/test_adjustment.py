@@ -10,7 +10,7 @@ import pytest
 from wavy_wall import SIDE, wall
 
 from styl3r_cli.adjustment import adjusted
-from styl3r_cli.cameras.matches import match_views
+from styl3r_cli.cameras.matches import match_images
 from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import Recovered
@@ -71,7 +71,7 @@ def test_cameras_and_depths_come_nearer(views: int) -> None:
     assert max(errors(there, true)) > 2
     before = depth_error(wrong, there, scene, true)
     assert before > 0.02
-    made, found = adjusted(wrong, there, match_views(wrong.images))
+    made, found = adjusted(wrong, there, match_images(wrong.images))
     assert max(errors(found, true)) < 0.5
     assert depth_error(made, found, scene, true) < 0.2 * before
     np.testing.assert_array_equal(found.cameras[0].extrinsics, there.cameras[0].extrinsics)
@@ -89,7 +89,7 @@ def test_cameras_and_depths_come_nearer(views: int) -> None:
 
 def test_what_is_right_stays_as_it_is() -> None:
     scene, recovered = wall(3)
-    made, found = adjusted(scene, recovered, match_views(scene.images))
+    made, found = adjusted(scene, recovered, match_images(scene.images))
     assert made is scene
     assert found is recovered
 
@@ -99,7 +99,7 @@ def test_without_features_everything_stays() -> None:
     other, _ = wall(2, seed=1)
     for images in (np.full_like(scene.images, 0.5), np.stack([scene.images[0], other.images[1]])):
         there = replace(scene, images=images)
-        made, found = adjusted(there, recovered, match_views(images))
+        made, found = adjusted(there, recovered, match_images(images))
         assert made is there
         assert found is recovered
 
@@ -108,7 +108,7 @@ def test_views_whose_camera_is_not_known_stay() -> None:
     scene, true = wall(3)
     wrong, there = blurred(scene, true)
     there = replace(there, recovered=[True, True, False])
-    made, found = adjusted(wrong, there, match_views(wrong.images))
+    made, found = adjusted(wrong, there, match_images(wrong.images))
     np.testing.assert_array_equal(made.means[2], wrong.means[2])
     np.testing.assert_array_equal(found.cameras[2].extrinsics, there.cameras[2].extrinsics)
     assert errors(found, true)[0] < 0.5 < errors(there, true)[0]
@@ -117,13 +117,13 @@ def test_views_whose_camera_is_not_known_stay() -> None:
 def test_one_known_view_stays() -> None:
     scene, recovered = blurred(*wall(2))
     recovered = replace(recovered, recovered=[True, False])
-    assert adjusted(scene, recovered, match_views(scene.images)) == (scene, recovered)
+    assert adjusted(scene, recovered, match_images(scene.images)) == (scene, recovered)
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e6])
 def test_the_unit_of_length_plays_no_part(size: float) -> None:
     scene, true = wall(3)
-    matches = match_views(scene.images)
+    matches = match_images(scene.images)
     one, far = (adjusted(*blurred(scene, true, each), matches) for each in (1.0, size))
     np.testing.assert_allclose(far[0].means / size, one[0].means, atol=2e-3)
     assert max(errors(far[1], one[1])) < 0.02
@@ -135,7 +135,7 @@ def test_points_that_are_not_finite_do_not_decide() -> None:
     wrong.means[1, ::5] = np.nan
     wrong.means[0, :, ::7] = np.inf
     wrong.means[0, 3::9] = 0  # in the camera itself
-    made, found = adjusted(wrong, there, match_views(wrong.images))
+    made, found = adjusted(wrong, there, match_images(wrong.images))
     assert max(errors(found, true)) < 0.6
     np.testing.assert_array_equal(np.isfinite(made.means), np.isfinite(wrong.means))
 
@@ -144,7 +144,7 @@ def test_points_that_are_not_finite_do_not_decide() -> None:
 def test_scenes_that_are_none_pass(nothing: float) -> None:
     scene, recovered = blurred(*wall(2))
     there = replace(scene, means=np.full_like(scene.means, nothing))
-    made, found = adjusted(there, recovered, match_views(scene.images))
+    made, found = adjusted(there, recovered, match_images(scene.images))
     np.testing.assert_array_equal(np.isfinite(made.means), np.isfinite(there.means))
     for camera in found.cameras:
         turn = camera.extrinsics[:3, :3]
@@ -160,4 +160,4 @@ def test_cameras_in_one_place_stay() -> None:
         recovered,
         cameras=[recovered.cameras[0], replace(recovered.cameras[1], extrinsics=turned)],
     )
-    assert adjusted(scene, there, match_views(scene.images)) == (scene, there)
+    assert adjusted(scene, there, match_images(scene.images)) == (scene, there)

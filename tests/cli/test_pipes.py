@@ -37,6 +37,20 @@ def test_photos_come_through_a_pipe(
     assert len(read_scene(piped.stdout).gaussians) == 3 * 64 * 64
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes with names are Unix's")
+def test_a_scene_goes_into_a_pipe_of_the_shell(
+    tiny_model: Path, photos: list[Path], tmp_path: Path
+) -> None:
+    """Its name, /dev/fd/63 say, tells no format: it gets what standard output gets."""
+    shared = ("--model", tiny_model, "--threads", 1, "--fov", 60, "--all", "--quiet")
+    assert styl3r("reconstruct", *photos, *shared, "-o", tmp_path / "a.ply").returncode == 0
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with (tmp_path / "b.ply").open("wb") as end, subprocess.Popen(["cat", pipe], stdout=end):
+        assert styl3r("reconstruct", *photos, *shared, "-o", pipe).returncode == 0
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("arguments", "data", "code", "words"),
     [

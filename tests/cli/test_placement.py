@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wavy_wall import FOCAL, SIDE, wall
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.matches import match_views
+from styl3r_cli.cameras.matches import match_images
 from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import Gaussians
@@ -27,7 +27,7 @@ SIZE, SHIFT = 1.3, np.array([0.4, -0.2, 0.5])
 def placed(
     scene: Scene, recovered: Recovered, threads: int | None = None
 ) -> tuple[Scene, Recovered]:
-    return placed_by(scene, recovered, match_views(scene.images, threads))
+    return placed_by(scene, recovered, match_images(scene.images, threads))
 
 
 def misplace(scene: Scene, recovered: Recovered, views: list[int]) -> tuple[Scene, Recovered]:
@@ -136,6 +136,16 @@ def test_a_view_that_was_given_up_is_shown_beyond_the_others() -> None:
     assert not (shown & inside).any()
     assert (shown | inside).mean() > 0.95
     np.testing.assert_array_equal(made.opacities[:2], scene.opacities[:2])
+
+
+def test_a_view_that_shows_nothing_more_is_not_said_to_be_shown() -> None:
+    scene, recovered = given_up(*wall(3), 2)
+    for each in (scene.images, scene.means):
+        each[2] = each[1]
+    made, found = placed(scene, recovered)
+    assert found.recovered == [True] * 3
+    assert not made.opacities[2].any()
+    assert found.notes == ["a lens"]
 
 
 def in_camera(points: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:

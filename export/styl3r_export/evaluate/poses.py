@@ -24,8 +24,9 @@ def camera_values(
     translations (not folded at 90 degrees), `larger of both` is what AUC is computed from.
 
     Baselines: `identity` says that the camera did not move; `SIFT + E` matches SIFT features and
-    solves for the essential matrix, pair by pair, at the same crop with the intrinsics that the
-    network was given, and says identity where that finds nothing.
+    solves for the essential matrix, pair by pair, in the same crops, as large as the tool looks at
+    them, with the intrinsics that the network was given, and says identity where that finds
+    nothing.
 
     Args:
         group: the true cameras.
@@ -36,9 +37,12 @@ def camera_values(
     values: Values = {}
     for a, b in combinations(range(len(group.views)), 2):
         truth = motion(group.views[a].camera.extrinsics, group.views[b].camera.extrinsics)
-        sift = relative_pose(
-            group.views[a].pixels, group.views[b].pixels, given[a].intrinsics, given[b].intrinsics
-        )
+        pictures = [group.views[view].finest for view in (a, b)]
+        lenses = [
+            camera.resized(*picture.shape[1::-1]).intrinsics
+            for camera, picture in zip((given[a], given[b]), pictures, strict=True)
+        ]
+        sift = relative_pose(pictures[0], pictures[1], lenses[0], lenses[1])
         guesses = {
             MODEL: motion(recovered.cameras[a].extrinsics, recovered.cameras[b].extrinsics),
             "identity": np.eye(4),

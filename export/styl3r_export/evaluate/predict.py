@@ -95,7 +95,7 @@ def predict(stylizer: Stylizer, group: Group, intrinsics: Intrinsics) -> Predict
     given = [given_camera(view, intrinsics) for view in group.views]
     photos = as_photos(group, given, intrinsics)
     scene = stylizer.encode(photos)
-    return Prediction(*locate_views(scene, photos.focals_measured, 1), given)
+    return Prediction(*locate_views(scene, photos, 1), given)
 
 
 def given_camera(view: TrueView, intrinsics: Intrinsics) -> Camera:
@@ -125,4 +125,5 @@ def as_photos(group: Group, given: list[Camera], intrinsics: Intrinsics) -> Phot
         sizes=[view.photo_size for view in views],
         focal_sources=[source] * len(views),
         notes=[],
+        details=[view.finest for view in views],
     )

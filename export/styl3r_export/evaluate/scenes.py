@@ -15,7 +15,7 @@ from PIL import Image
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.errors import InputError
-from styl3r_cli.photos.resize import fit_photo
+from styl3r_cli.photos.resize import detail_size, fit_photo
 from styl3r_export.cropping import crop_camera
 
 # Where depth is known everywhere, every so many-th pixel of every so many-th row is compared.
@@ -37,6 +37,8 @@ class TrueView:
         depth: (P,) their view z.
         photo_size: (width, height) before the crop.
         depth_map: (S, S) view z of every pixel, nan in the sky; None where only points are known.
+        detail: (D, D, 3) what `pixels` show, as the tool looks at it for features; None where there
+            is no more than `pixels`.
     """
 
     name: str
@@ -47,6 +49,12 @@ class TrueView:
     depth: Array
     photo_size: tuple[int, int]
     depth_map: Array | None = None
+    detail: NDArray[np.uint8] | None = None
+
+    @property
+    def finest(self) -> NDArray[np.uint8]:
+        """What features are sought in."""
+        return self.pixels if self.detail is None else self.detail
 
     @property
     def image(self) -> NDArray[np.float32]:
@@ -144,9 +152,11 @@ def cropped_view(
     """
     camera, zoom, corner = crop_camera(fact, photo.size, size)
     pixels = fit_photo(photo, (size, size)).copy()
+    detail = fit_photo(photo, detail_size(photo.size, (size, size))).copy()
     if ids is None or uv is None or world is None:
         ids, uv, world = np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 3))
     uv = uv * zoom - corner
     depth = world @ camera.extrinsics[2, :3] + camera.extrinsics[2, 3]
     inside = ((uv >= 0) & (uv < size)).all(axis=1) & (depth > 0)
-    return TrueView(name, pixels, camera, ids[inside], uv[inside], depth[inside], photo.size)
+    truth = (ids[inside], uv[inside], depth[inside])
+    return TrueView(name, pixels, camera, *truth, photo.size, detail=detail)

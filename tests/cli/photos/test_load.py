@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -42,6 +43,11 @@ def test_shapes_ranges_and_names(tmp_path: Path) -> None:
     assert photos.focal_sources == ["assumed", "assumed"]
     assert len(photos.notes) == 1
     assert "no focal length in a.png, b.png: 28 mm equivalent assumed" in photos.notes[0]
+    # What features are sought in: 80x60 and 60x80 are 1.67 and 1.25 times as large as the frame.
+    assert [detail.shape for detail in photos.details] == [(53, 80, 3), (40, 60, 3)]
+    for detail, image in zip(photos.details, photos.images, strict=True):
+        shown = cv2.resize(detail, (48, 32), interpolation=cv2.INTER_AREA).transpose(2, 0, 1) / 255
+        assert np.abs(shown - image).mean() < 0.1
 
 
 def test_fov_is_that_of_the_photo_as_shown(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from styl3r_cli.photos import resize as resize_module
-from styl3r_cli.photos.resize import fit_intrinsics, fit_map, fit_photo, fit_style
+from styl3r_cli.photos.resize import detail_size, fit_intrinsics, fit_map, fit_photo, fit_style
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +144,20 @@ def test_a_map_is_cropped_as_its_photo(photo: tuple[int, int], factor: float) ->
         pixel = 255 / min(photo[1 - axis], shape[axis])  # the larger one
         assert np.abs(off[4:-4, 4:-4]).max() <= pixel / 2 + 1.5  # of rounding to 8 bits
         assert abs(np.median(off)) <= pixel / 4 + 1
+
+
+@pytest.mark.parametrize(
+    ("photo", "size", "detail"),
+    [
+        ((4032, 3024), (256, 256), (512, 512)),  # twice as large
+        ((640, 427), (256, 256), (427, 427)),  # no more than there is
+        ((640, 400), (192, 256), (384, 512)),
+        ((300, 200), (256, 256), (256, 256)),  # nor less than the network gets
+        ((8000, 8000), (768, 768), (1024, 1024)),  # not too much
+        ((8000, 8000), (2048, 1024), (2048, 1024)),
+    ],
+)
+def test_features_are_sought_in_what_a_photo_has(
+    photo: tuple[int, int], size: tuple[int, int], detail: tuple[int, int]
+) -> None:
+    assert detail_size(photo, size) == detail
