@@ -24,7 +24,7 @@ from styl3r_cli.cameras.pose_errors import motion
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.cameras.two_view import rays
-from styl3r_cli.meetings import Ground, depths_at
+from styl3r_cli.meetings import Ground, depths_at, project
 from styl3r_cli.moved_views import copied, move_view, scale_depths
 from styl3r_cli.overlaps import outwards
 from styl3r_cli.pipeline import Scene
@@ -46,6 +46,7 @@ WORTH = 1.0
 # Pixels from their lines within which matches count, round by round: in the first, cameras that
 # are a degree off explain none to 2 pixels.
 ROUNDS = (10.0, 2.0)
+TYPICAL_STEP = 4  # pixels between those whose median depth is a view's
 MOST_BEND = 2.0  # depths change by no larger factor
 BENDS = 9  # shapes that a view's depths may change by: `_bends`
 
@@ -99,10 +100,9 @@ class _Views:
 
     def __init__(self, scene: Scene, cameras: list[Camera]) -> None:
         self.scene, self.cameras = scene, cameras
-        pixels = pixel_centres(*scene.means.shape[1:3]).reshape(-1, 2)
+        coarse = scene.means[:, ::TYPICAL_STEP, ::TYPICAL_STEP]
         depths = [
-            depths_at(points, camera.extrinsics, pixels)
-            for points, camera in zip(scene.means, cameras, strict=True)
+            project(points, camera)[2] for points, camera in zip(coarse, cameras, strict=True)
         ]
         self.typical = [_typical(1 / depth[depth > 0]) for depth in depths]
 
