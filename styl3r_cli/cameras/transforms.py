@@ -136,58 +136,6 @@ def transforms_of(
     return CameraFile(cameras, file_paths, notes, fps, loop, depth_paths)
 
 
-def known_cameras(source: Path, photos: Sequence[Path]) -> tuple[dict[Path, Camera], list[str]]:
-    """The cameras of photos from a camera file; see `read_transforms` and `cameras_of_photos`."""
-    file = read_transforms(source)
-    found, missing = cameras_of_photos(file, photos, str(source))
-    return found, [*file.notes, *missing]
-
-
-def cameras_of_photos(
-    file: CameraFile, photos: Sequence[Path], name: str = "the camera file"
-) -> tuple[dict[Path, Camera], list[str]]:
-    """The cameras that belong to the photos; those with no frame are named in a note.
-
-    Returns:
-        Cameras by photo, and notes.
-
-    Raises:
-        InputError: no frame names any of the photos.
-    """
-    frames = frames_of_photos(file, photos)
-    found = {photo: file.cameras[frame] for photo, frame in frames.items()}
-    missing = [photo.name for photo in photos if photo not in found]
-    if not found:
-        raise InputError(f"{name}: no frame's file_path is one of the photos ({missing[0]}, ...)")
-    return found, [f"{name}: no camera for {', '.join(missing)}"] if missing else []
-
-
-def frames_of_photos(file: CameraFile, photos: Sequence[Path]) -> dict[Path, int]:
-    """The index of the frame that belongs to each photo, matched by file name.
-
-    Where several frames have a photo's file name, the one that agrees with most of its path is
-    taken. Photos with no frame are left out.
-    """
-    found: dict[Path, int] = {}
-    for photo in photos:
-        scores = [_common_end(photo, path) for path in file.file_paths]
-        best = max(range(len(scores)), key=scores.__getitem__)
-        if scores[best]:
-            found[photo] = best
-    return found
-
-
-def _common_end(photo: Path, file_path: str) -> int:
-    """How many trailing parts two paths share; some files leave the suffix out."""
-    ours, theirs = list(photo.parts), list(Path(file_path.replace("\\", "/")).parts)
-    if theirs and not Path(theirs[-1]).suffix:
-        ours[-1] = photo.stem
-    shared = 0
-    while shared < min(len(ours), len(theirs)) and ours[-1 - shared] == theirs[-1 - shared]:
-        shared += 1
-    return shared
-
-
 def frame_entry(camera: Camera, file_path: str) -> dict[str, Any]:
     """One camera as a frame of the file: camera-to-world, and its own intrinsics."""
     matrix = np.linalg.inv(camera.extrinsics) @ OPENGL_FROM_OPENCV
@@ -233,7 +181,8 @@ def _size(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> t
     width, height = number(values, "w", where), number(values, "h", where)
     if width is None or height is None:
         if size is None:
-            raise InputError(f"{where}: no 'w' and 'h'; add the photos' size to the file")
+            advice = "add the pictures' size to the file, or give render a --size"
+            raise InputError(f"{where}: no 'w' and 'h'; {advice}")
         return size
     found = frame_size(width, height)
     if found is None:

@@ -239,7 +239,7 @@ def _known_cameras(
     """The photos' intrinsics from a camera file, if one was given."""
     if request.cameras is None:
         return None
-    from styl3r_cli.cameras.transforms import known_cameras
+    from styl3r_cli.cameras.photo_frames import known_cameras
 
     found, told = known_cameras(request.cameras, photos)
     notes += told

@@ -46,7 +46,7 @@ def plan_shots(request: RenderRequest, scene: Scene, console: Console) -> Shots:
     """
     path_file = _file_of_path(request.path)
     source = path_file or request.cameras
-    file = _read(source, console) if source else None
+    file = _read(source, request, console) if source else None
     fps = request.fps or (file.fps if file else None) or LOOP_FPS
     if file is not None:
         views = file.cameras
@@ -81,10 +81,10 @@ def _file_of_path(path: str | None) -> Path | None:
     return file
 
 
-def _read(path: Path, console: Console) -> CameraFile:
+def _read(path: Path, request: RenderRequest, console: Console) -> CameraFile:
     from styl3r_cli.cameras.camera_path import read_cameras
 
-    file = read_cameras(path)
+    file = read_cameras(path, request.size)
     for note in file.notes:
         console.note(note)
     return file

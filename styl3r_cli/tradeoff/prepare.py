@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.photo_frames import frames_of_photos, known_cameras, read_cameras_of
 from styl3r_cli.cameras.poses import Array
-from styl3r_cli.cameras.transforms import frames_of_photos, known_cameras, read_transforms
 from styl3r_cli.console import Console
 from styl3r_cli.errors import InputError, ModelError
 from styl3r_cli.graphs import find
@@ -142,7 +142,7 @@ def true_depths(
     """
     if source is None:
         return {}
-    file = read_transforms(source)
+    file = read_cameras_of(photos, source)
     maps: dict[int, list[Array | None]] = {side: [None] * len(photos) for side in sides}
     known = False
     for photo, frame in frames_of_photos(file, photos).items():

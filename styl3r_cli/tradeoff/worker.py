@@ -18,8 +18,8 @@ import numpy as np
 from styl3r_cli import endings, memory
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.depth_errors import view_depths
+from styl3r_cli.cameras.photo_frames import known_cameras
 from styl3r_cli.cameras.poses import centre
-from styl3r_cli.cameras.transforms import known_cameras
 from styl3r_cli.errors import ExitCode, OutputError, Styl3rError
 from styl3r_cli.files import atomic_write
 from styl3r_cli.formats import encode_scene

@@ -88,6 +88,22 @@ def test_json_replaces_json_only(here: Path, line: str, capsys) -> None:
     assert Path("s.ply").read_bytes() == before
 
 
+def test_cameras_without_a_size_take_the_frames(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = json.loads(Path("cams.json").read_text())
+    for entry in content["frames"]:
+        for key in ("w", "h", "cx", "cy"):
+            entry.pop(key)
+    Path("bare.json").write_text(json.dumps(content))
+    line = "render s.ply --cameras {}.json -o {}.png -q --size 24x24"
+    assert main.run(["render", "s.ply", "--cameras", "bare.json", "-o", "x.png"]) == 3
+    assert "give render a --size" in capsys.readouterr().err
+    for name in ("bare", "cams"):
+        assert main.run(line.format(name, name).split()) == 0
+    assert Path("bare.png").read_bytes() == Path("cams.png").read_bytes()
+
+
 @linux
 def test_a_report_and_a_result_in_one_file(here: Path) -> None:
     """A shell has emptied the file by then; but the report is not lost silently, too."""

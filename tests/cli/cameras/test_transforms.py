@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.transforms import cameras_of_photos, read_transforms, write_transforms
+from styl3r_cli.cameras.photo_frames import cameras_of_photos, read_cameras_of
+from styl3r_cli.cameras.transforms import read_transforms, write_transforms
 from styl3r_cli.errors import InputError
 
 SHARED = {"fl_x": 500.0, "fl_y": 510.0, "cx": 320.0, "cy": 200.0, "w": 640, "h": 400}
@@ -201,3 +203,32 @@ def test_photos_find_their_cameras_by_name() -> None:
     assert notes == ["the camera file: no camera for 4.jpg"]
     with pytest.raises(InputError, match=r"no frame's file_path is one of the photos \(9\.jpg"):
         cameras_of_photos(known, [Path("9.jpg")])
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_file_without_sizes_is_of_its_photos(tmp_path: Path, turned: bool) -> None:
+    """As Blender's scripts write it: an angle for all, paths without a suffix."""
+    photo = tmp_path / "r_0.png"
+    exif = Image.Exif()
+    exif[0x0112] = 6 if turned else 1
+    Image.new("RGB", (80, 60)).save(photo, exif=exif)
+    source = tmp_path / "transforms_train.json"
+    matrix = np.eye(4).tolist()
+    entries = [{"file_path": f"./train/r_{k}", "transform_matrix": matrix} for k in range(2)]
+    source.write_text(json.dumps({"camera_angle_x": 0.7, "frames": entries}))
+    (one, two) = read_cameras_of([photo], source).cameras
+    width, height = (60, 80) if turned else (80, 60)
+    assert (one.width, one.height, one.cx, one.cy) == (width, height, width / 2, height / 2)
+    assert one.fx == two.fx == pytest.approx(width / 2 / np.tan(0.35))
+    with pytest.raises(InputError, match="no 'w' and 'h'"):
+        read_transforms(source)
+    gone = tmp_path / "gone.png"
+    assert read_cameras_of([gone, photo], source).cameras[0].width == width
+    with pytest.raises(InputError, match="no 'w' and 'h'"):
+        read_cameras_of([gone], source)
+
+
+def test_a_file_that_says_sizes_needs_no_photo(tmp_path: Path) -> None:
+    source = tmp_path / "cameras.json"
+    write_transforms(source, [Camera(np.eye(4), 50, 50, 20, 20, 40, 40)], ["a.jpg"])
+    assert read_cameras_of([tmp_path / "gone.png"], source).cameras[0].width == 40
