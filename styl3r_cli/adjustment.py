@@ -3,7 +3,7 @@
 The network matches views in cells of 8 pixels, and every view with the middle one only. SIFT's
 features are where they are to a fifth of a pixel, and all views' count. Cameras turn and shift
 until features meet; depths follow by a smooth correction of each view, so that what the views
-agreed about stays together, and edges stay where they are.
+agreed about stays together, and edges stay where they are. So does a lens that was only guessed.
 """
 
 from __future__ import annotations
@@ -15,44 +15,31 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from styl3r_cli.cameras.agreement import explained
-from styl3r_cli.cameras.bundle import POSE, Adjusted, Sightings, adjust, misfit
+from styl3r_cli.cameras.bundle import POSE, Adjusted, adjust, misfit
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.matches import Matches
 from styl3r_cli.cameras.pointmap import inlier_ratio, pixel_centres
-from styl3r_cli.cameras.pose_errors import motion
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import Recovered
-from styl3r_cli.cameras.two_view import rays
-from styl3r_cli.meetings import Ground, depths_at, project
-from styl3r_cli.moved_views import copied, move_view, scale_depths
-from styl3r_cli.overlaps import outwards
+from styl3r_cli.meetings import depths_at
+from styl3r_cli.moved_views import change_lens, copied, move_view, scale_depths
 from styl3r_cli.pipeline import Scene
+from styl3r_cli.view_sightings import BENDS, Views, bends
 
 Array = NDArray[np.float64]
 
-# Of two views' matches so many, and such a part, must fit the cameras before they have a say.
-FEWEST, LEAST_SHARE = 12, 0.5
-# Pixels. Between true cameras, matches of real photos lie 0.15 from their epipolar lines (median).
-FEATURE_SIGMA = 0.25
-# Depths are off by their own errors, which no smooth correction takes away: parts of the parallax.
-PARALLAX_SIGMA = 0.03
-# What the network saw is kept in mind by how its points meet, every so many pixels. Neighbours'
-# are off together, so each counts little (pixels).
-MEETING_STEP, MEETING_SIGMA = 16, 4.0
 # An unknown must be worth so much of the features' robust cost, or all stays as it is: with few
 # features, or where the network is as good as they are, adjustment follows their noise.
 WORTH = 1.0
 # Pixels from their lines within which matches count, round by round: in the first, cameras that
 # are a degree off explain none to 2 pixels.
 ROUNDS = (10.0, 2.0)
-TYPICAL_STEP = 4  # pixels between those whose median depth is a view's
 MOST_BEND = 2.0  # depths change by no larger factor
-BENDS = 9  # shapes that a view's depths may change by: `_bends`
+TOLD_ZOOM = 0.05  # a lens that changed by a larger part is worth telling about
 
 
 def adjusted(
-    scene: Scene, recovered: Recovered, matches: Sequence[Matches]
+    scene: Scene, recovered: Recovered, matches: Sequence[Matches], any_lens: bool = False
 ) -> tuple[Scene, Recovered]:
     """The scene and its cameras after bundle adjustment; as they were if it is of no use.
 
@@ -63,167 +50,54 @@ def adjusted(
         scene: from `Stylizer.encode`.
         recovered: its cameras.
         matches: of its views.
+        any_lens: whether the focal lengths were guessed: one factor for all may change them.
     """
-    known = set(np.flatnonzero(recovered.recovered).tolist())
-    usable = [each for each in matches if {each.first, each.second} <= known]
+    before = recovered.cameras[0]
+    known = np.flatnonzero(recovered.recovered).tolist()
+    usable = [each for each in matches if {each.first, each.second} <= {*known}]
     for within in ROUNDS:
-        scene, recovered = _adjusted_once(scene, recovered, usable, sorted(known), within)
-    return scene, recovered
+        views = Views(scene, recovered.cameras)
+        found = _adjustment(views, known, usable, within, any_lens)
+        if found is not None:
+            scene, recovered = _applied(views, known, found, recovered)
+    return scene, _told(recovered, before)
 
 
-def _adjusted_once(
-    scene: Scene,
-    recovered: Recovered,
-    matches: Sequence[Matches],
-    known: list[int],
-    within: float,
-) -> tuple[Scene, Recovered]:
-    cameras = recovered.cameras
-    eyes = [centre(cameras[view].extrinsics) for view in known]
+def _adjustment(
+    views: Views, known: list[int], matches: Sequence[Matches], within: float, any_lens: bool
+) -> Adjusted | None:
+    """What brings the known views' features together, if that is worth it."""
+    extrinsics = np.stack([camera.extrinsics for camera in views.cameras])
+    eyes = [centre(extrinsics[view]) for view in known]
     steps = [float(np.linalg.norm(one - other)) for one, other in combinations(eyes, 2)]
     unit = float(np.median(steps)) if steps else 0.0
-    views = _Views(scene, cameras)
     features = views.features(matches, within)
     if not features or not 0 < unit < np.inf:
-        return scene, recovered
-    extrinsics = np.stack([camera.extrinsics for camera in cameras])
-    start = Adjusted(extrinsics, np.zeros((len(cameras), BENDS)))
-    found = adjust([*features, *views.meetings(known)], extrinsics, unit)
-    unknowns = POSE * (len(known) - 1) + BENDS * len(known)
-    if not misfit(features, start) - misfit(features, found) >= WORTH * unknowns:
-        return scene, recovered
-    return _applied(views, known, found, recovered)
-
-
-class _Views:
-    """What views see of each other's places."""
-
-    def __init__(self, scene: Scene, cameras: list[Camera]) -> None:
-        self.scene, self.cameras = scene, cameras
-        coarse = scene.means[:, ::TYPICAL_STEP, ::TYPICAL_STEP]
-        depths = [
-            project(points, camera)[2] for points, camera in zip(coarse, cameras, strict=True)
-        ]
-        self.typical = [_typical(1 / depth[depth > 0]) for depth in depths]
-
-    def features(self, matches: Sequence[Matches], within: float) -> list[Sightings]:
-        """Where features are that the cameras explain to so many pixels, both ways."""
-        sightings: list[Sightings] = []
-        for first, second, pixels in matches:
-            one, two = self.cameras[first], self.cameras[second]
-            move = motion(one.extrinsics, two.extrinsics)
-            fit = explained(move, pixels, one, two, within)
-            if fit.sum() < max(FEWEST, LEAST_SHARE * len(fit)):
-                continue
-            here, there = pixels[0][fit], pixels[1][fit]
-            for pair, seen in (((first, second), (here, there)), ((second, first), (there, here))):
-                sightings += self._sightings(*pair, *seen, FEATURE_SIGMA, PARALLAX_SIGMA)
-        return sightings
-
-    def meetings(self, known: list[int]) -> list[Sightings]:
-        """Where the points of the middle view and of each other one are the same surface's.
-
-        These pairs are the ones that the network matched.
-        """
-        middle, *others = outwards(len(self.cameras), known)
-        sightings: list[Sightings] = []
-        for other in others:
-            for view, seer in ((middle, other), (other, middle)):
-                ground = Ground.of(self.scene.means[seer], self.cameras[seer])
-                grid = np.s_[MEETING_STEP // 2 :: MEETING_STEP]
-                meeting = ground.meet(self.scene.means[view][grid, grid])
-                rows, columns = np.nonzero(meeting.agrees)
-                at = np.stack([columns, rows, meeting.x[rows, columns], meeting.y[rows, columns]])
-                at[:2] = at[:2] * MEETING_STEP + MEETING_STEP // 2
-                here, there = (each.T.astype(np.float64) + 0.5 for each in (at[:2], at[2:]))
-                sightings += self._sightings(view, seer, here, there, MEETING_SIGMA, 0.0)
-        return sightings
-
-    def _sightings(
-        self,
-        view: int,
-        other: int,
-        here: Array,
-        there: Array,
-        sigma: float,
-        parallax: float,
-    ) -> list[Sightings]:
-        """Of a view's places at pixels, which another sees at pixels of its own, if there are any.
-
-        Args:
-            view: whose places they are.
-            other: who sees them.
-            here: (M, 2) pixels of the view's.
-            there: (M, 2) pixels of the other's.
-            sigma: in pixels.
-            parallax: what is added to it along the way that depth moves them, parts of that way.
-        """
-        one, two = self.cameras[view], self.cameras[other]
-        depths = depths_at(self.scene.means[view], one.extrinsics, here)
-        with np.errstate(all="ignore"):
-            near = 1 / depths
-            move = motion(one.extrinsics, two.extrinsics)
-            turned = rays(here, one.intrinsics) @ move[:3, :3].T
-            far, place = _flat(turned), _flat(turned + near[:, None] * move[:3, 3])
-            shift = np.linalg.norm(place - far, axis=1)
-            along = move[:2, 3] - place * move[2, 3]
-            along /= np.linalg.norm(along, axis=1)[:, None]
-        good = (depths > 0) & np.isfinite(shift) & np.isfinite(along).all(axis=1)
-        if not good.any():
-            return []
-        bends = _bends(here, near, self.typical[view], one)[good]
-        across = np.full(int(good.sum()), sigma / two.fx)
-        sigmas = np.stack([np.hypot(across, parallax * shift[good]), across], axis=1)
-        seen = rays(there, two.intrinsics)[good, :2]
-        towards = rays(here, one.intrinsics)[good]
-        return [Sightings(view, other, towards, near[good], bends, seen, along[good], sigmas)]
-
-
-def _flat(places: Array) -> Array:
-    return places[:, :2] / places[:, 2:]
-
-
-def _typical(nearness: Array) -> float:
-    """The median of what is finite; 0 where nothing is."""
-    finite = nearness[np.isfinite(nearness)]
-    return float(np.median(finite)) if len(finite) else 0.0
-
-
-def _bends(pixels: Array, nearness: Array, typical: float, camera: Camera) -> Array:
-    """(M, BENDS) shapes that a view's depths may change by, all in units of nearness.
-
-    A wrong pose or lens of a camera that sees the same changes inverse depths, to first order, by
-    a part that varies linearly over the picture, and by a sum that varies as a quadric.
-
-    Args:
-        pixels: (M, 2).
-        nearness: (M,) inverse depths there.
-        typical: the view's median of them.
-        camera: the view's.
-    """
-    x, y = (pixels * 2 / np.array([camera.width, camera.height]) - 1).T
-    one = np.ones_like(x)
-    part = nearness * np.stack([one, x, y])
-    return np.concatenate([part, typical * np.stack([one, x, y, x * x, x * y, y * y])]).T
+        return None
+    found = adjust([*features, *views.meetings(known)], extrinsics, unit, any_lens)
+    start = Adjusted(extrinsics, np.zeros_like(found.coefficients))
+    unknowns = POSE * (len(known) - 1) + BENDS * len(known) + any_lens
+    worth = misfit(features, start) - misfit(features, found)
+    return found if worth >= WORTH * unknowns else None
 
 
 def _applied(
-    views: _Views, known: list[int], found: Adjusted, recovered: Recovered
+    views: Views, known: list[int], found: Adjusted, recovered: Recovered
 ) -> tuple[Scene, Recovered]:
     """The scene and its cameras as an adjustment has them."""
-    scene, cameras, ratios = (
-        copied(views.scene),
-        list(recovered.cameras),
-        [*recovered.inlier_ratios],
-    )
+    scene, zoom = copied(views.scene), float(np.exp(found.zoom))
+    cameras = [replace(each, fx=each.fx * zoom, fy=each.fy * zoom) for each in recovered.cameras]
+    ratios = list(recovered.inlier_ratios)
     for view in known:
-        camera = cameras[view]
-        _bend(scene, view, camera, found.coefficients[view], views.typical[view])
-        extrinsics = found.extrinsics[view]
-        move_view(scene, view, np.linalg.inv(extrinsics) @ camera.extrinsics)
-        cameras[view] = replace(camera, extrinsics=extrinsics)
+        before, extrinsics = recovered.cameras[view], found.extrinsics[view]
+        _bend(scene, view, before, found.coefficients[view], views.typical[view])
+        if zoom != 1:
+            change_lens(scene, view, before, zoom)
+        move_view(scene, view, np.linalg.inv(extrinsics) @ before.extrinsics)
+        cameras[view] = replace(cameras[view], extrinsics=extrinsics)
         ratios[view] = inlier_ratio(scene.means[view], scene.opacities[view], cameras[view])
-    return scene, replace(recovered, cameras=cameras, inlier_ratios=ratios)
+    focal = None if recovered.focal is None else recovered.focal * zoom
+    return scene, replace(recovered, cameras=cameras, inlier_ratios=ratios, focal=focal)
 
 
 def _bend(scene: Scene, view: int, camera: Camera, coefficients: Array, typical: float) -> None:
@@ -232,6 +106,19 @@ def _bend(scene: Scene, view: int, camera: Camera, coefficients: Array, typical:
     pixels = pixel_centres(height, width).reshape(-1, 2)
     with np.errstate(all="ignore"):
         nearness = 1 / depths_at(scene.means[view], camera.extrinsics, pixels)
-        factor = 1 / (1 + _bends(pixels, nearness, typical, camera) @ coefficients / nearness)
+        factor = 1 / (1 + bends(pixels, nearness, typical, camera) @ coefficients / nearness)
     factor = np.where(nearness > 0, factor.clip(1 / MOST_BEND, MOST_BEND), 1.0)
     scale_depths(scene, view, camera, factor.reshape(height, width))
+
+
+def _told(recovered: Recovered, before: Camera) -> Recovered:
+    """With a note on the lens, if it is another one now."""
+    now = recovered.cameras[0]
+    if abs(np.log(now.fx / before.fx)) <= np.log1p(TOLD_ZOOM):
+        return recovered
+    wide, was = (np.degrees(2 * np.arctan(each.width / 2 / each.fx)) for each in (now, before))
+    note = (
+        f"features that match fit a field of view of {wide:.0f} degrees across the cropped photo, "
+        f"not {was:.0f}: cameras and scene are as they say"
+    )
+    return replace(recovered, focal_notes=[*recovered.focal_notes, note])

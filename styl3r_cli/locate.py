@@ -18,8 +18,8 @@ def locate_views(
 
     Args:
         scene: from `Stylizer.encode`.
-        photos: that it was encoded from: they show more features than the network's small pictures,
-            and say whose focal length was measured, and is kept. Without them, none was.
+        photos: that it was encoded from: they show more features than the network's small
+            pictures, and say whose focal length was measured: where any was, all are kept.
         threads: None for every core.
 
     Returns:
@@ -32,5 +32,7 @@ def locate_views(
         matches = match_images(scene.images, threads)
     else:
         matches = match_views(photos.details, scene.images.shape[2:], threads)
-    scene, recovered = adjusted(*placed(scene, recovered, matches), matches)
+    scene, recovered = placed(scene, recovered, matches)
+    guessed = measured is None or not any(measured)
+    scene, recovered = adjusted(scene, recovered, matches, any_lens=guessed)
     return smoothed(scene, recovered.cameras), recovered

@@ -54,6 +54,19 @@ def scale_depths(scene: Scene, view: int, camera: Camera, factors: Array) -> Non
     scene.scales[view] *= factors.astype(np.float32)
 
 
+def change_lens(scene: Scene, view: int, camera: Camera, zoom: float) -> None:
+    """Move a view's Gaussians to where its pixels see them through a lens so many times as long.
+
+    Their depths stay, and their sizes on the picture.
+    """
+    turn, shift = camera.extrinsics[:3, :3], camera.extrinsics[:3, 3]
+    with np.errstate(invalid="ignore"):  # what is not finite stays so
+        seen = scene.means[view].astype(np.float64) @ turn.T + shift
+        seen[..., :2] /= zoom
+        scene.means[view] = (seen - shift) @ turn
+    scene.scales[view] /= np.float32(zoom)
+
+
 def show_again(scene: Scene, cameras: list[Camera], sure: list[int]) -> list[int]:
     """Make views that were given up visible beyond what the others show; returns which.
 

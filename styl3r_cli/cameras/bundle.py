@@ -1,4 +1,4 @@
-"""Bundle adjustment of a few cameras, and of smooth corrections to the depths that each sees.
+"""Bundle adjustment of a few cameras, their lens, and smooth corrections to the depths they see.
 
 Levenberg and Marquardt's least squares with Cauchy's robust weights (Triggs et al. 2000, "Bundle
 Adjustment: A Modern Synthesis").
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 # What cameras and depths are off by before: radians, steps in units of length, parts of nearness.
 # All wide: they hold what no sighting says anything about.
 TURN, STEP, BEND = np.radians(3), 0.2, 0.1
+# And a focal length that was guessed: its logarithm. Most phones' are within it of 28 mm.
+ZOOM = 0.2
 MOST_ROUNDS = 12
 ENOUGH = 1e-3  # of the cost: rounds that gain less are the last
 FIRST_DAMPING, MOST_DAMPING, LEAST_DAMPING = 1e-3, 1e5, 1e-6
@@ -60,23 +62,29 @@ class Adjusted(NamedTuple):
     Attributes:
         extrinsics: (N, 4, 4).
         coefficients: (N, Q) of each view's bends.
+        zoom: logarithm of what all views' focal lengths are to be multiplied by.
     """
 
     extrinsics: Array
     coefficients: Array
+    zoom: float = 0.0
 
 
-def adjust(sightings: Sequence[Sightings], extrinsics: Array, unit: float) -> Adjusted:
+def adjust(
+    sightings: Sequence[Sightings], extrinsics: Array, unit: float, any_lens: bool = False
+) -> Adjusted:
     """Cameras and coefficients that explain sightings best; the first camera stays.
 
     Args:
         sightings: of all views.
         extrinsics: (N, 4, 4) to begin with; what the sightings leave open stays near them.
         unit: length of a typical step between cameras.
+        any_lens: whether the focal lengths were guessed; else they stay.
     """
     now = Adjusted(extrinsics, np.zeros((len(extrinsics), sightings[0].bends.shape[1])))
     spread = _spread(now, unit)
     moved = np.zeros(len(spread))  # all changes so far, added up: they are small
+    free = np.arange(len(spread) if any_lens else len(spread) - 1)
     cost, damping = _cost(sightings, now) + _held(moved, spread), FIRST_DAMPING
     for _ in range(MOST_ROUNDS):
         matrix, slope = _normal_equations(sightings, now)
@@ -84,7 +92,8 @@ def adjust(sightings: Sequence[Sightings], extrinsics: Array, unit: float) -> Ad
         slope += moved / spread**2
         while True:
             damped = matrix + damping * np.diag(np.diag(matrix))
-            change: Array = -np.linalg.solve(damped, slope).astype(np.float64)
+            change = np.zeros(len(spread))
+            change[free] = -np.linalg.solve(damped[np.ix_(free, free)], slope[free])
             tried = _changed(now, change)
             reached = _cost(sightings, tried) + _held(moved + change, spread)
             if reached < cost or damping > MOST_DAMPING:
@@ -108,7 +117,7 @@ def _spread(adjusted: Adjusted, unit: float) -> Array:
     """Standard deviations of all unknowns before anything is seen."""
     views, bends = adjusted.coefficients.shape
     pose = np.repeat([TURN, STEP * unit], 3)
-    return np.concatenate([np.tile(pose, views - 1), np.full(views * bends, BEND)])
+    return np.concatenate([np.tile(pose, views - 1), np.full(views * bends, BEND), [ZOOM]])
 
 
 def _held(moved: Array, spread: Array) -> float:
@@ -124,22 +133,29 @@ def _changed(now: Adjusted, change: Array) -> Adjusted:
         small = np.eye(4)
         small[:3, :3], small[:3, 3] = cv2.Rodrigues(pose[:3])[0], pose[3:]
         extrinsics[view] = small @ extrinsics[view]
-    rest = change[POSE * (views - 1) :].reshape(views, -1)
-    return Adjusted(extrinsics, now.coefficients + rest)
+    bends = change[POSE * (views - 1) : -1].reshape(views, -1)
+    return Adjusted(extrinsics, now.coefficients + bends, now.zoom + float(change[-1]))
 
 
 def _cost(sightings: Sequence[Sightings], adjusted: Adjusted) -> float:
     return sum(float(np.log1p(np.square(_look(each, adjusted)[0])).sum()) for each in sightings)
 
 
-def _look(each: Sightings, adjusted: Adjusted) -> tuple[Array, Array, Array]:
+def _look(each: Sightings, now: Adjusted) -> tuple[Array, Array, Array]:
     """How far off sightings are, in sigmas (M, 2), the places times nearness (M, 3), nearness."""
-    move = motion(adjusted.extrinsics[each.view], adjusted.extrinsics[each.other])
-    nearness = each.nearness + each.bends @ adjusted.coefficients[each.view]
-    places = each.rays @ move[:3, :3].T + nearness[:, None] * move[:3, 3]
-    off = places[:, :2] / np.maximum(places[:, 2:], LEAST_DEPTH) - each.seen
+    move = motion(now.extrinsics[each.view], now.extrinsics[each.other])
+    nearness = each.nearness + each.bends @ now.coefficients[each.view]
+    places = _zoomed(each.rays, now.zoom) @ move[:3, :3].T + nearness[:, None] * move[:3, 3]
+    flat = places[:, :2] / np.maximum(places[:, 2:], LEAST_DEPTH)
+    off = flat * np.exp(now.zoom) - each.seen
     along, across = (off * each.along).sum(1), (off * _across(each.along)).sum(1)
     return np.stack([along, across], axis=1) / each.sigmas, places, nearness
+
+
+def _zoomed(rays: Array, zoom: float) -> Array:
+    """Rays of the same pixels through a longer lens."""
+    narrower = np.exp(-zoom)
+    return rays * np.array([narrower, narrower, 1.0])
 
 
 def _across(along: Array) -> Array:
@@ -149,7 +165,7 @@ def _across(along: Array) -> Array:
 def _normal_equations(sightings: Sequence[Sightings], now: Adjusted) -> tuple[Array, Array]:
     """Gauss and Newton's matrix and gradient (both over two) of the sightings' cost."""
     views, bends = now.coefficients.shape
-    unknowns = POSE * (views - 1) + bends * views
+    unknowns = POSE * (views - 1) + bends * views + 1
     matrix, slope = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
     for each in sightings:
         off, places, nearness = _look(each, now)
@@ -159,6 +175,7 @@ def _normal_equations(sightings: Sequence[Sightings], now: Adjusted) -> tuple[Ar
                 np.arange(POSE) + POSE * (each.view - 1),
                 np.arange(POSE) + POSE * (each.other - 1),
                 np.arange(bends) + POSE * (views - 1) + bends * each.view,
+                [unknowns - 1],
             ]
         )
         free = at >= 0  # the first camera is not
@@ -171,23 +188,30 @@ def _normal_equations(sightings: Sequence[Sightings], now: Adjusted) -> tuple[Ar
 
 
 def _slopes(each: Sightings, now: Adjusted, places: Array, nearness: Array) -> Array:
-    """(M, 2, 2 POSE + Q) how `_look`'s first result changes with either camera and the bends."""
+    """(M, 2, 2 POSE + Q + 1) how `_look`'s first result changes with all that it depends on.
+
+    Either camera, the bends, and the zoom.
+    """
     move = motion(now.extrinsics[each.view], now.extrinsics[each.other])
     turn, step = move[:3, :3], move[:3, 3]
+    rays = _zoomed(each.rays, now.zoom)
     whole = np.broadcast_to(np.eye(3), (len(places), 3, 3)) * nearness[:, None, None]
     moving = np.concatenate(
         [
-            turn @ _crossed(each.rays),
+            turn @ _crossed(rays),
             -turn @ whole,
             -_crossed(places),
             whole,
             step[None, :, None] * each.bends[:, None, :],
+            (rays[:, :2] @ -turn[:, :2].T)[:, :, None],
         ],
         axis=2,
     )
     depth = np.maximum(places[:, 2], LEAST_DEPTH)[:, None, None]
     flat = (places[:, :2] / depth[:, :, 0])[:, :, None]
     seen = (moving[:, :2] - flat * moving[:, 2:]) / depth
+    seen[:, :, -1] += flat[:, :, 0]
+    seen *= np.exp(now.zoom)
     axes = np.stack([each.along, _across(each.along)], axis=1) / each.sigmas[:, :, None]
     return axes @ seen
 

@@ -87,6 +87,38 @@ def test_cameras_and_depths_come_nearer(views: int) -> None:
         np.testing.assert_allclose(made.scales[view] / wrong.scales[view], grown, rtol=1e-3)
 
 
+def through(scene: Scene, recovered: Recovered, lens: float) -> tuple[Scene, Recovered]:
+    """What a network makes of photos whose focal length is taken for so many times what it is."""
+    means, cameras = scene.means.astype(np.float64), []
+    for view, camera in enumerate(recovered.cameras):
+        turn, shift = camera.extrinsics[:3, :3], camera.extrinsics[:3, 3]
+        seen = means[view] @ turn.T + shift
+        means[view] = (seen / [lens, lens, 1] - shift) @ turn
+        cameras.append(replace(camera, fx=camera.fx * lens, fy=camera.fy * lens))
+    scales = (scene.scales / lens).astype(np.float32)
+    made = replace(scene, means=means.astype(np.float32), scales=scales)
+    return made, replace(recovered, cameras=cameras, focal=cameras[0].fx)
+
+
+@pytest.mark.parametrize("lens", [0.85, 1.2])
+def test_a_lens_that_was_guessed_becomes_right(lens: float) -> None:
+    scene, true = wall(4)
+    wrong, there = through(scene, true, lens)
+    matches = match_images(scene.images)
+    made, found = adjusted(wrong, there, matches, any_lens=True)
+    for camera, right in zip(found.cameras, true.cameras, strict=True):
+        assert camera.fx == pytest.approx(right.fx, rel=0.03)
+        assert camera.fy == pytest.approx(right.fy, rel=0.03)
+    assert found.focal == pytest.approx(found.cameras[0].fx)
+    assert max(errors(found, true)) < 1
+    assert min(found.inlier_ratios) > 0.99
+    assert depth_error(made, found, scene, true) < 0.02
+    (note,) = found.notes
+    assert "fit a field of view of 5" in note  # 51.3 degrees
+    _, kept = adjusted(wrong, there, matches)
+    assert [camera.fx for camera in kept.cameras] == [camera.fx for camera in there.cameras]
+
+
 def test_what_is_right_stays_as_it_is() -> None:
     scene, recovered = wall(3)
     made, found = adjusted(scene, recovered, match_images(scene.images))

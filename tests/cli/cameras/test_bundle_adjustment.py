@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from styl3r_cli.cameras.bundle import BEND, STEP, TURN, Sightings, adjust
+from styl3r_cli.cameras.bundle import BEND, STEP, TURN, ZOOM, Sightings, adjust
 from styl3r_cli.cameras.pose_errors import rotation_error
 
 Array = NDArray[np.float64]
@@ -29,8 +29,11 @@ def true_poses() -> Array:
     )
 
 
-def sights(noise: float = 0.0, wild: int = 0) -> list[Sightings]:
-    """What each view sees of the others' places, whose depths it has 4 % too large."""
+def sights(noise: float = 0.0, wild: int = 0, lens: float = 1.0) -> list[Sightings]:
+    """What each view sees of the others' places, whose depths it has 4 % too large.
+
+    Its focal length is `lens` times what it is taken for.
+    """
     random, poses, found = np.random.default_rng(0), true_poses(), []
     for view in range(VIEWS):
         rays = np.column_stack([random.uniform(-0.4, 0.4, (PLACES, 2)), np.ones(PLACES)])
@@ -47,7 +50,8 @@ def sights(noise: float = 0.0, wild: int = 0) -> list[Sightings]:
             along /= np.linalg.norm(along, axis=1)[:, None]
             sigmas = SIGMA * np.column_stack([np.full(PLACES, 2.0), np.ones(PLACES)])
             bends = np.column_stack([near, near * rays[:, 0]])
-            found.append(Sightings(view, other, rays, near, bends, seen, along, sigmas))
+            wide, seen = rays * [lens, lens, 1.0], seen * lens
+            found.append(Sightings(view, other, wide, near, bends, seen, along, sigmas))
     return found
 
 
@@ -73,23 +77,36 @@ def test_it_finds_the_cameras_and_depths() -> None:
         assert near * size == pytest.approx(1, abs=2e-3)
 
 
-def test_it_reaches_the_least_cost_that_scipy_finds() -> None:
+@pytest.mark.parametrize("lens", [0.87, 1.2])
+def test_it_finds_a_lens_that_was_guessed(lens: float) -> None:
+    found = adjust(sights(lens=lens), wrong_poses(), 1.0, any_lens=True)
+    assert np.exp(found.zoom) == pytest.approx(lens, rel=0.01)
+    poses = true_poses()
+    assert max(rotation_error(found.extrinsics[k], poses[k]) for k in (1, 2)) < 0.1
+    assert adjust(sights(lens=lens), wrong_poses(), 1.0).zoom == 0
+
+
+@pytest.mark.parametrize("any_lens", [False, True])
+def test_it_reaches_the_least_cost_that_scipy_finds(any_lens: bool) -> None:
     """The robust cost and what holds the unknowns, written anew with rotation vectors."""
-    seen, start = sights(noise=SIGMA, wild=9), wrong_poses()
-    spread = np.concatenate([np.tile(np.repeat([TURN, STEP], 3), VIEWS - 1), np.full(6, BEND)])
+    seen, start = sights(noise=SIGMA, wild=9, lens=1.1 if any_lens else 1.0), wrong_poses()
+    spread = np.concatenate(
+        [np.tile(np.repeat([TURN, STEP], 3), VIEWS - 1), np.full(6, BEND), [ZOOM] * any_lens]
+    )
 
     def off(unknown: Array) -> Array:
         poses = [start[0]]
         poses += [pose(unknown[6 * k : 6 * k + 6]) @ start[k + 1] for k in range(VIEWS - 1)]
-        coefficients = unknown[6 * (VIEWS - 1) :].reshape(VIEWS, BENDS)
+        coefficients = unknown[6 * (VIEWS - 1) :][:6].reshape(VIEWS, BENDS)
+        zoom = np.exp(unknown[-1]) if any_lens else 1.0
         parts = []
         for each in seen:
             depth = 1 / (each.nearness + each.bends @ coefficients[each.view])
             world = np.linalg.inv(poses[each.view]) @ np.vstack(
-                [(each.rays * depth[:, None]).T, np.ones(PLACES)]
+                [(each.rays / [zoom, zoom, 1] * depth[:, None]).T, np.ones(PLACES)]
             )
             place = (poses[each.other] @ world)[:3]
-            gap = (place[:2] / place[2]).T - each.seen
+            gap = (place[:2] / place[2]).T * zoom - each.seen
             other = np.stack([-each.along[:, 1], each.along[:, 0]], axis=1)
             both = np.stack([(gap * axis).sum(1) for axis in (each.along, other)], axis=1)
             parts.append((both / each.sigmas).ravel())
@@ -101,13 +118,13 @@ def test_it_reaches_the_least_cost_that_scipy_finds() -> None:
     def root(unknown: Array) -> Array:  # whose squares sum to the cost
         return np.concatenate([np.sqrt(np.log1p(np.square(off(unknown)))), unknown / spread])
 
-    ours = adjust(seen, start, 1.0)
+    ours = adjust(seen, start, 1.0, any_lens)
     moved = [
         now @ np.linalg.inv(before) for now, before in zip(ours.extrinsics, start, strict=True)
     ]
     unknown = np.concatenate(
         [np.append(cv2.Rodrigues(m[:3, :3])[0][:, 0], m[:3, 3]) for m in moved[1:]]
-        + [ours.coefficients.ravel()]
+        + [ours.coefficients.ravel(), [ours.zoom] * any_lens]
     )
     theirs = least_squares(root, unknown, x_scale="jac")
     assert cost(unknown) < 0.5 * cost(np.zeros_like(spread))
