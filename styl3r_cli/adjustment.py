@@ -113,12 +113,8 @@ def _bend(scene: Scene, view: int, camera: Camera, coefficients: Array, typical:
 
 def _told(recovered: Recovered, before: Camera) -> Recovered:
     """With a note on the lens, if it is another one now."""
-    now = recovered.cameras[0]
-    if abs(np.log(now.fx / before.fx)) <= np.log1p(TOLD_ZOOM):
+    times = recovered.cameras[0].fx / before.fx
+    if abs(np.log(times)) <= np.log1p(TOLD_ZOOM):
         return recovered
-    wide, was = (np.degrees(2 * np.arctan(each.width / 2 / each.fx)) for each in (now, before))
-    note = (
-        f"features that match fit a field of view of {wide:.0f} degrees across the cropped photo, "
-        f"not {was:.0f}: cameras and scene are as they say"
-    )
+    note = f"features that match fit {times:.2f} times the focal length that was assumed: taken"
     return replace(recovered, focal_notes=[*recovered.focal_notes, note])

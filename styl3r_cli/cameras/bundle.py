@@ -70,6 +70,7 @@ class Adjusted(NamedTuple):
     zoom: float = 0.0
 
 
+@np.errstate(all="ignore")  # numbers beyond float64 make no step better, and none is taken
 def adjust(
     sightings: Sequence[Sightings], extrinsics: Array, unit: float, any_lens: bool = False
 ) -> Adjusted:
@@ -80,6 +81,9 @@ def adjust(
         extrinsics: (N, 4, 4) to begin with; what the sightings leave open stays near them.
         unit: length of a typical step between cameras.
         any_lens: whether the focal lengths were guessed; else they stay.
+
+    Returns:
+        What it began with, where no step is any better.
     """
     now = Adjusted(extrinsics, np.zeros((len(extrinsics), sightings[0].bends.shape[1])))
     spread = _spread(now, unit)
@@ -108,6 +112,7 @@ def adjust(
     return now
 
 
+@np.errstate(all="ignore")
 def misfit(sightings: Sequence[Sightings], adjusted: Adjusted) -> float:
     """The robust cost of sightings: what the adjustment makes small."""
     return _cost(sightings, adjusted)

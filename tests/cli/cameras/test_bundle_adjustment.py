@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -129,6 +131,16 @@ def test_it_reaches_the_least_cost_that_scipy_finds(any_lens: bool) -> None:
     theirs = least_squares(root, unknown, x_scale="jac")
     assert cost(unknown) < 0.5 * cost(np.zeros_like(spread))
     assert cost(unknown) < 1.002 * cost(theirs.x)
+
+
+@pytest.mark.parametrize("size", [1e200, 1e-200])
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_all_measure_change_nothing_or_stay_finite(size: float) -> None:
+    seen = [replace(each, nearness=each.nearness * size) for each in sights()]
+    found = adjust(seen, wrong_poses(), 1.0, any_lens=True)
+    assert np.isfinite(found.extrinsics).all()
+    assert np.isfinite(found.coefficients).all()
+    assert np.isfinite(found.zoom)
 
 
 def test_wild_sightings_do_not_decide() -> None:
