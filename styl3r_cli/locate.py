@@ -20,6 +20,7 @@ def locate_views(
         scene: from `Stylizer.encode`.
         photos: that it was encoded from: they show more features than the network's small
             pictures, and say whose focal length was measured: where any was, all are kept.
+            Without them the lens counts as guessed.
         threads: None for every core.
 
     Returns:

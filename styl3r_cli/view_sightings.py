@@ -63,12 +63,12 @@ class Views:
         These pairs are the ones that the network matched.
         """
         middle, *others = outwards(len(self.cameras), known)
+        grounds = {view: Ground.of(self.scene.means[view], self.cameras[view]) for view in known}
+        grid = np.s_[MEETING_STEP // 2 :: MEETING_STEP]
         sightings: list[Sightings] = []
         for other in others:
             for view, seer in ((middle, other), (other, middle)):
-                ground = Ground.of(self.scene.means[seer], self.cameras[seer])
-                grid = np.s_[MEETING_STEP // 2 :: MEETING_STEP]
-                meeting = ground.meet(self.scene.means[view][grid, grid])
+                meeting = grounds[seer].meet(self.scene.means[view][grid, grid])
                 rows, columns = np.nonzero(meeting.agrees)
                 at = np.stack([columns, rows, meeting.x[rows, columns], meeting.y[rows, columns]])
                 at[:2] = at[:2] * MEETING_STEP + MEETING_STEP // 2

@@ -12,8 +12,8 @@ PATCH = 16  # the network's patch size; both sides of its pictures are multiples
 # A photo that would have more pixels when it covers the frame is cropped as it is scaled: a frame
 # that is a sliver of it would take gigabytes.
 MOST_WHOLE_PIXELS = 1 << 26
-# Features are sought in twice the network's size: there are three times as many right matches (32
-# pairs of real photos of 640 pixels). Beyond 1024 pixels, finding them takes long.
+# Features are sought in twice the network's size: there are twice as many right matches (32 pairs
+# of real photos of at most 640 pixels). Beyond 1024 pixels, finding them takes long.
 DETAIL, MOST_DETAIL = 2.0, 1024
 
 
