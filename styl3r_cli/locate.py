@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from styl3r_cli.adjustment import adjusted
-from styl3r_cli.cameras.matches import match_images, match_views
+from styl3r_cli.cameras.matches import as_pictures, match_views
 from styl3r_cli.cameras.recover import Recovered, recover
 from styl3r_cli.photos.load import Photos
 from styl3r_cli.pipeline import Scene
 from styl3r_cli.placement import placed
 from styl3r_cli.smoothing import smoothed
+from styl3r_cli.stereo.dense import dense
 
 
 def locate_views(
@@ -25,15 +26,15 @@ def locate_views(
 
     Returns:
         The scene, with views moved that were in the wrong place, all of them as their features
-        meet, and depths without grain; and its cameras.
+        meet, depths where views look alike, and without grain; and its cameras.
     """
     measured = None if photos is None else photos.focals_measured
     recovered = recover(scene.means, scene.opacities, scene.intrinsics, measured)
-    if photos is None or not photos.details:
-        matches = match_images(scene.images, threads)
-    else:
-        matches = match_views(photos.details, scene.images.shape[2:], threads)
+    details = () if photos is None else photos.details
+    pictures = list(details) or as_pictures(scene.images)
+    matches = match_views(pictures, scene.images.shape[2:], threads)
     scene, recovered = placed(scene, recovered, matches)
     guessed = measured is None or not any(measured)
     scene, recovered = adjusted(scene, recovered, matches, any_lens=guessed)
+    scene = dense(scene, recovered, pictures, threads)
     return smoothed(scene, recovered.cameras), recovered

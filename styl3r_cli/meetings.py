@@ -107,7 +107,7 @@ class Meeting:
 
 
 def project(
-    points: FloatArray, camera: Camera
+    points: NDArray[np.floating], camera: Camera
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Pixel coordinates (from the first pixel's centre) and depths of (H, W, 3) points.
 

@@ -52,7 +52,6 @@ def match_views(
     return in_threads(look, list(combinations(range(len(pictures)), 2)), threads)
 
 
-def match_images(images: NDArray[np.float32], threads: int | None = None) -> list[Matches]:
-    """Those of views (N, 3, H, W) in [0, 1]."""
-    pictures = (images.transpose(0, 2, 3, 1) * 255).round().clip(0, 255).astype(np.uint8)
-    return match_views(list(pictures), images.shape[2:], threads)
+def as_pictures(images: NDArray[np.float32]) -> list[NDArray[np.uint8]]:
+    """N times (H, W, 3) of views (N, 3, H, W) in [0, 1]."""
+    return list((images.transpose(0, 2, 3, 1) * 255).round().clip(0, 255).astype(np.uint8))

@@ -57,8 +57,8 @@ Existing results are replaced; a photo or a style is never overwritten.
     show_default=True,
     help="Best fits the colours to the views and leaves out Gaussians that nobody would miss; "
     "balanced does neither; draft also reads the photos at half the model's size (--size says "
-    "another). The example scene of four photos, but for finding its cameras, and how well its "
-    f"pictures agree with the best before anything is left out: {help_of('stylize')}.",
+    "another). The example scene of four photos, and how well its pictures agree with the "
+    f"best before anything is left out: {help_of('stylize')}.",
 )
 @scene_options
 def command(styles: tuple[WeightedStyle, ...], strength: float, **options: Any) -> None:

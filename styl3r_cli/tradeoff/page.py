@@ -12,7 +12,7 @@ import numpy as np
 from styl3r_cli.frames import Picture
 from styl3r_cli.tradeoff import plots
 from styl3r_cli.tradeoff.agreement import ATTRIBUTES, BROKEN_DB
-from styl3r_cli.tradeoff.rows import MEGABYTE, Advice, Row, flags
+from styl3r_cli.tradeoff.rows import MEGABYTE, STAGES, Advice, Row, flags
 from styl3r_cli.tradeoff.truth import cells, known_headings, meanings
 
 ERROR_GAIN = 8  # differences are shown so many times enlarged, or an eye could not see most
@@ -82,7 +82,7 @@ def _advice(advice: Sequence[Advice], rows: Sequence[Row]) -> str:
 def _table(rows: Sequence[Row]) -> str:
     known = known_headings([row.errors for row in rows])
     names = (
-        *("setting", "structure", "appearance", "compact", "frame", "memory", "file", "model"),
+        *("setting", *STAGES, "frame", "memory", "file", "model"),
         *("Gaussians", "input views", "novel views", "SSIM", *known),
         *(f"{name} error" for name in ATTRIBUTES),
     )
@@ -99,7 +99,7 @@ def _table(rows: Sequence[Row]) -> str:
 
 def _line(row: Row, reference: Row, known: Sequence[str]) -> str:
     s = row.seconds
-    texts = [f"{s[stage]:.3f} s" for stage in ("structure", "appearance", "compact")]
+    texts = [f"{s[stage]:.3f} s" for stage in STAGES]
     texts.append(f"{1e3 * s['frame']:.0f} ms")
     texts += [f"{size / MEGABYTE:.1f} MB" for size in (row.memory, row.bytes, row.model_bytes)]
     texts.append(f"{row.gaussians:,}")

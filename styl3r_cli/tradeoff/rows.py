@@ -26,7 +26,8 @@ from styl3r_cli.tradeoff.truth import Truth
 # Agreement in every view that deserves a name: at 40 dB pictures that alternate on a screen show
 # no difference, at 35 dB it has to be looked for, at 30 dB it is seen side by side.
 CLASSES = {"no visible loss": 40.0, "hardly visible loss": 35.0, "visible loss": BROKEN_DB}
-NETWORK = ("structure", "appearance")
+# What it takes from photos in memory to a scene.
+STAGES = ("structure", "cameras", "appearance", "compact")
 MEGABYTE = 1e6
 
 
@@ -36,7 +37,7 @@ class Row:
 
     Attributes:
         point: the setting.
-        seconds: medians by stage; "scene" is structure, appearance and compaction together.
+        seconds: medians by stage; "scene" is `STAGES` together.
         memory: largest of the repeats, bytes.
         bytes: of the scene's .ply.
         model_bytes: of the graphs.
@@ -101,7 +102,7 @@ def _row(
 ) -> Row:
     stages = results[0]["seconds"]
     seconds = {s: statistics.median(r["seconds"][s] for r in results) for s in stages}
-    seconds["scene"] = sum(seconds[stage] for stage in (*NETWORK, "compact"))
+    seconds["scene"] = sum(seconds[stage] for stage in STAGES)
     made = _arrays(bench, point)
     row = Row(
         point,

@@ -53,7 +53,8 @@ def to_text(rows: Sequence[Row]) -> str:
     head = (
         f"{'precision':12}{'size':>5}{'views':>6}{'kept':>7}{'drawn':>10}{'cores':>6}"
         f"{'colours':>8}"
-        f"{'structure':>11}{'appearance':>12}{'compact':>9}{'frame':>8}{'memory':>9}{'scene':>9}"
+        f"{'structure':>11}{'cameras':>9}{'appearance':>12}{'compact':>9}{'frame':>8}{'memory':>9}"
+        f"{'scene':>9}"
         f"{'worst':>9}"
     ) + "".join(f"{heading:>{ERROR_WIDTH}}" for heading in known)
     lines = [head]
@@ -70,7 +71,8 @@ def to_text(rows: Sequence[Row]) -> str:
         errors = "".join(f"{cell:>{ERROR_WIDTH}}" for cell in cells(row.errors, known))
         mark = "  rejected" if row.rejected(rows[0].point) else ""
         lines.append(
-            f"{start}{s['structure']:9.3f} s{s['appearance']:10.3f} s{s['compact']:7.2f} s"
+            f"{start}{s['structure']:9.3f} s{s['cameras']:7.3f} s{s['appearance']:10.3f} s"
+            f"{s['compact']:7.2f} s"
             f"{1e3 * s['frame']:5.0f} ms{row.memory / MEGABYTE:6.0f} MB"
             f"{row.bytes / MEGABYTE:6.1f} MB{row.worst:6.1f} dB{errors}{mark}"
         )

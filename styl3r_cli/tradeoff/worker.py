@@ -74,7 +74,8 @@ def measure(job: dict[str, Any]) -> dict[str, Any]:
     for _ in range(2):
         with watch("structure"):
             scene = stylizer.encode(photos)
-        scene, found = locate_views(scene, photos, threads)
+        with watch("cameras"):
+            scene, found = locate_views(scene, photos, threads)
         painter = Painter(stylizer, scene, found, threads, point["colours"] == "fitted")
         with watch("appearance"):
             gaussians, _ = painter(styles, strength=1.0 if styles else 0.0)

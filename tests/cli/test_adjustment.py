@@ -8,10 +8,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from wavy_wall import SIDE, wall
+from wavy_wall import SIDE, match_images, wall
 
 from styl3r_cli.adjustment import adjusted
-from styl3r_cli.cameras.matches import match_images
 from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import Recovered

@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from wavy_wall import FOCAL, SIDE, wall
+from wavy_wall import FOCAL, SIDE, match_images, wall
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.matches import match_images
 from styl3r_cli.cameras.pose_errors import direction_error, motion, rotation_error
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.gaussians import Gaussians

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from styl3r_cli.cameras.camera import Camera
+from styl3r_cli.cameras.matches import Matches, as_pictures, match_views
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.pipeline import Scene
 
@@ -49,6 +50,11 @@ def wall(count: int, seed: int = 0) -> tuple[Scene, Recovered]:
         content_tokens=np.zeros((count, 4, 8), np.float32),
     )
     return scene, Recovered(cameras, [1.0] * count, [True] * count, FOCAL, FOCAL, [])
+
+
+def match_images(images: NDArray[np.float32], threads: int | None = None) -> list[Matches]:
+    """Matches of views (N, 3, H, W), looked for in these pictures themselves."""
+    return match_views(as_pictures(images), images.shape[2:], threads)
 
 
 def _texture(seed: int) -> NDArray[np.float32]:
