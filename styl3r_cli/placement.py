@@ -27,6 +27,7 @@ from styl3r_cli.cameras.two_view import rays
 from styl3r_cli.meetings import depths_at
 from styl3r_cli.moved_views import copied, move_view, show_again
 from styl3r_cli.pipeline import Scene
+from styl3r_cli.view_doubts import doubts
 
 Array = NDArray[np.float64]
 
@@ -170,6 +171,7 @@ class _Mover:
                 notes[view] = f"view {view + 1}: {'; '.join(told)}"
             elif not recovered.recovered[view]:
                 notes.pop(view, None)
+        notes = doubts(scene.opacities, self.matched) | notes
         return scene, Recovered(
             cameras, ratios, found, recovered.focal, recovered.focal_given,
             recovered.focal_notes, notes,

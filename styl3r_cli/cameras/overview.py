@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.cameras import poses
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.extent import FARTHEST, Extent, quantiles
+from styl3r_cli.cameras.extent import FARTHEST, HIGH, LOW, Extent, quantiles
 from styl3r_cli.gaussians import Gaussians
 
 Array = NDArray[np.float64]
@@ -20,6 +20,9 @@ DEFAULT_SIZE = 512
 SMALLEST_FOV, LARGEST_FOV = math.radians(25), math.radians(90)
 # Of a scene made here, the first view sees what its own photo shows: one of at most 8.
 LEAST_SEEN = 1 / 8
+# What is a smaller part of the frame's longer side was not photographed from there: a lens of 250
+# mm fills a third of the narrowest frame.
+SMALLEST_SHOWN = 1 / 4
 # Photos are taken level to about 6 degrees (0.1): so far their x axes are trusted.
 LEVEL = 0.1
 
@@ -30,29 +33,50 @@ def default_camera(
     """A camera for a scene that came without: the world's origin, looking along +z.
 
     That is the first view in the scenes made here; the field of view takes in most of what lies
-    in front. In a foreign scene that lies elsewhere, behind or beside what that sees, the camera
-    goes to where it sees it.
+    in front. In a foreign scene that lies elsewhere, behind, beside or far beyond what that sees,
+    the camera goes to where it sees it.
     """
     extent = Extent.of(gaussians)
-    means, weights = extent.means, extent.weights
-    extrinsics = np.eye(4)
-    widest_slope = math.tan(LARGEST_FOV / 2)
-    if len(means) and (
-        quantiles(means[:, 2], weights, (0.5,))[0] <= 0
-        or extent.share_in(_camera(extrinsics, widest_slope, width, height)) < LEAST_SEEN
-    ):
+    camera = _framed(np.eye(4), extent, width, height)
+    if len(extent.means) and not _shows(camera, extent):
+        means, weights = extent.means, extent.weights
         middle = np.array([quantiles(axis, weights, (0.5,))[0] for axis in means.T])
         distances = np.linalg.norm(means - middle, axis=1)
         radius = quantiles(distances, weights, (FARTHEST,))[0]
-        extrinsics[:3, 3] = [0, 0, 2 * radius] - middle
-    in_view = means @ extrinsics[:3, :3].T + extrinsics[:3, 3]
-    ahead = in_view[:, 2] > 0
+        if radius > 0 or not extent.share_in(camera):
+            extrinsics = np.eye(4)
+            extrinsics[:3, 3] = [0, 0, 2 * radius] - middle
+            camera = _framed(extrinsics, extent, width, height)
+    return camera
+
+
+def _shows(camera: Camera, extent: Extent) -> bool:
+    """Whether a camera at the origin sees enough of a scene, and large enough."""
+    ahead = quantiles(extent.means[:, 2], extent.weights, (0.5,))[0] > 0
+    widest = _camera(camera.extrinsics, math.tan(LARGEST_FOV / 2), camera.width, camera.height)
+    if not ahead or extent.share_in(widest) < LEAST_SEEN:
+        return False
+    slopes, weights = _slopes(camera.extrinsics, extent)
+    low, high = np.array([quantiles(axis, weights, (LOW, HIGH)) for axis in slopes.T]).T
+    across = max(camera.width, camera.height) / camera.fx
+    return bool((high - low).max() >= SMALLEST_SHOWN * across)
+
+
+def _framed(extrinsics: Array, extent: Extent, width: int, height: int) -> Camera:
+    """A camera whose field of view takes in most of what lies in front of it."""
+    slopes, weights = _slopes(extrinsics, extent)
     slope = math.tan(SMALLEST_FOV / 2)
-    if ahead.any():
-        slopes = np.abs(in_view[ahead, :2] / in_view[ahead, 2:] / [width, height]).max(axis=1)
-        widest = quantiles(slopes, weights[ahead], (FARTHEST,))[0]
-        slope = max(slope, max(width, height) * widest)
-    return _camera(extrinsics, min(slope, widest_slope), width, height)
+    if len(slopes):
+        sides = np.abs(slopes / [width, height]).max(axis=1)
+        slope = max(slope, max(width, height) * quantiles(sides, weights, (FARTHEST,))[0])
+    return _camera(extrinsics, min(slope, math.tan(LARGEST_FOV / 2)), width, height)
+
+
+def _slopes(extrinsics: Array, extent: Extent) -> tuple[Array, Array]:
+    """Where (P, 2) points before a camera are in its frame, a unit ahead, and their weights."""
+    in_view = extent.means @ extrinsics[:3, :3].T + extrinsics[:3, 3]
+    ahead = in_view[:, 2] > 0
+    return in_view[ahead, :2] / in_view[ahead, 2:], extent.weights[ahead]
 
 
 def _camera(extrinsics: Array, slope: float, width: int, height: int) -> Camera:

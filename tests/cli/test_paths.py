@@ -144,9 +144,11 @@ def test_the_default_camera_steps_back_from_a_scene_around_the_origin():
     assert ((pixels >= 0) & (pixels <= [300, 200])).all(axis=1).mean() > 0.85
 
 
-@pytest.mark.parametrize("middle", [(8, 0, 5), (0, -30, 1), (450, 5400, 300)])
+@pytest.mark.parametrize(
+    "middle", [(8, 0, 5), (0, -30, 1), (450, 5400, 300), (0, 0, 100), (900, 900, 900)]
+)
 @pytest.mark.parametrize("path", ["wobble", "orbit", "spiral", "dolly"])
-def test_a_scene_beside_the_view_from_the_origin_is_in_the_frame(middle, path):
+def test_a_scene_elsewhere_is_in_the_frame_and_fills_it(middle, path):
     means = np.random.default_rng(1).normal(0, 1, (2000, 3)) + middle
     scene = replace(make_scene(), means=means)
     for camera in [default_camera(scene, 300, 200), *make_path(path, [], scene, 4)]:
@@ -154,6 +156,21 @@ def test_a_scene_beside_the_view_from_the_origin_is_in_the_frame(middle, path):
         inside = ((pixels >= 0) & (pixels <= [camera.width, camera.height])).all(axis=1)
         ahead = means @ camera.extrinsics[2, :3] + camera.extrinsics[2, 3] > 0
         assert (inside & ahead).mean() > 0.5
+        assert np.ptp(pixels[inside & ahead], axis=0).max() > 0.5 * camera.width
+
+
+def test_a_scene_seen_through_a_long_lens_is_still_seen_from_the_origin():
+    pixels = np.random.default_rng(1).uniform(-1, 1, (2000, 2))
+    depths = np.random.default_rng(2).uniform(5, 9, (2000, 1))
+    rays = np.hstack([np.tan(np.radians(5)) * pixels, np.ones((2000, 1))])
+    scene = replace(make_scene(), means=rays * depths)
+    np.testing.assert_array_equal(default_camera(scene).extrinsics, np.eye(4))
+
+
+def test_one_gaussian_ahead_is_seen_from_the_origin():
+    one = make_scene().select(np.array([0]))
+    one = replace(one, means=np.array([[0.1, 0.2, 7.0]]))
+    np.testing.assert_array_equal(default_camera(one).extrinsics, np.eye(4))
 
 
 def test_scenes_without_anything_to_look_at():

@@ -144,7 +144,20 @@ def test_a_view_that_shows_nothing_more_is_not_said_to_be_shown() -> None:
     made, found = placed(scene, recovered)
     assert found.recovered == [True] * 3
     assert not made.opacities[2].any()
-    assert found.notes == ["a lens"]
+    told = "view 3: hardly visible: it fits the others badly, or they show all of it"
+    assert found.notes == ["a lens", told]
+
+
+@pytest.mark.parametrize("stranger", [0, 1, 2])
+def test_a_photo_of_another_place_is_named(stranger: int) -> None:
+    scene, recovered = wall(3)
+    scene.images[stranger] = wall(1, seed=7)[0].images[0]
+    _, found = placed(scene, recovered)
+    (note,) = found.view_notes.values()
+    assert note.startswith(f"view {stranger + 1}: shares hardly any features with the others")
+    # Two photos of which neither is like the other: there is no telling which.
+    pair = replace(wall(2)[0], images=scene.images[[stranger, stranger - 1]])
+    assert placed(pair, wall(2)[1])[1].view_notes == {}
 
 
 def in_camera(points: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
