@@ -8,7 +8,7 @@ two views' depths do not confirm stays as the network has it, but for what its n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,7 +19,8 @@ from styl3r_cli.cameras.pointmap import pixel_centres
 from styl3r_cli.cameras.poses import centre
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.cameras.two_view import rays
-from styl3r_cli.meetings import depths_at, project
+from styl3r_cli.gaussians import FloatArray
+from styl3r_cli.meetings import ANOTHER, depths_at, project
 from styl3r_cli.moved_views import copied, scale_depths
 from styl3r_cli.pipeline import Scene
 from styl3r_cli.stereo.sweep import View, find_nearness
@@ -80,11 +81,14 @@ def dense(
         results = in_threads(find, list(views), threads)
     found = {view: each for view, each in zip(views, results, strict=True) if each is not None}
     points = {view: _points(nearness, views[view].camera) for view, nearness in found.items()}
+    agreed = {view: _agreed(view, found, views, points) for view in found}
+    confirmed = {view: each.confirmed for view, each in agreed.items()}
     made = copied(scene)
-    for view in found:
-        agreed, confirmed = _agreed(view, found, views, points)
-        if confirmed.any():
-            factors = _factors(views[view].nearness, agreed, confirmed)
+    for view, each in agreed.items():
+        through = _looked_through(view, found, confirmed, views, points)
+        certain = each.confirmed & (through < each.witnesses)
+        if certain.any():
+            factors = _factors(views[view].nearness, each.nearness, certain)
             scale_depths(made, view, views[view].camera, factors)
     return made
 
@@ -117,38 +121,73 @@ def _points(nearness: Array, camera: Camera) -> Array:
     return ((seen - shift) @ turn).reshape(*nearness.shape, 3)
 
 
+class Agreed(NamedTuple):
+    """What views make of one view's depths; all (H, W).
+
+    Attributes:
+        nearness: inverse depths, each the mean of those of the views that have the same.
+        witnesses: how many others have.
+        confirmed: where any has, in patches; nowhere, if it is too seldom.
+    """
+
+    nearness: Array
+    witnesses: NDArray[np.int64]
+    confirmed: Mask
+
+
 def _agreed(
     view: int, found: dict[int, Array], views: dict[int, View], points: dict[int, Array]
-) -> tuple[Array, Mask]:
-    """A view's inverse depths (H, W), each the mean of those of the views that have the same.
-
-    And where any other has; nowhere, if it is too seldom.
-    """
-    height, width = found[view].shape
-    total, count = np.log(found[view]), np.ones((height, width))
-    shown = np.zeros((height, width), np.bool_)
+) -> Agreed:
+    """Compare a view's inverse depths with the others'."""
+    total, witnesses = np.log(found[view]), np.zeros(found[view].shape, np.int64)
+    shown = np.zeros(found[view].shape, np.bool_)
     axis, shift = views[view].camera.extrinsics[2, :3], views[view].camera.extrinsics[2, 3]
     for other in found:
         if other == view:
             continue
-        x, y, depth = project(points[view], views[other].camera)
-        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        at = [np.where(inside, each, 0).astype(np.float32) for each in (x, y)]
+        inside, at, depth = _seen_by(views[other].camera, points[view])
         there, surface = (
-            cv2.remap(each.astype(np.float32), at[0], at[1], cv2.INTER_LINEAR)
+            cv2.remap(each.astype(np.float32), *at, cv2.INTER_LINEAR)
             for each in (found[other], points[other])
         )
         with np.errstate(all="ignore"):
             own = -np.log(surface @ axis + shift)  # of what the other sees, from here
             same = inside & (np.abs(there * depth - 1) < SAME) & np.isfinite(own)
         total += np.where(same, own, 0)
-        count += same
+        witnesses += same
         shown |= inside
-    nearness = np.exp(total / count)
-    confirmed = _in_patches(count > 1, nearness)
+    nearness = np.exp(total / (witnesses + 1))
+    confirmed = _in_patches(witnesses > 0, nearness)
     if confirmed.sum() < LEAST_SHARE * shown.sum():
         confirmed[:] = False
-    return nearness, confirmed
+    return Agreed(nearness, witnesses, confirmed)
+
+
+def _looked_through(
+    view: int,
+    found: dict[int, Array],
+    confirmed: dict[int, Mask],
+    views: dict[int, View],
+    points: dict[int, Array],
+) -> NDArray[np.int64]:
+    """(H, W), how many others see something farther away where a view has a surface, for sure."""
+    count = np.zeros(found[view].shape, np.int64)
+    for other in found:
+        if other != view:
+            inside, at, depth = _seen_by(views[other].camera, points[view])
+            sure = np.where(confirmed[other], found[other], np.inf).astype(np.float32)
+            there = cv2.remap(sure, *at, cv2.INTER_NEAREST)
+            with np.errstate(invalid="ignore"):
+                count += inside & (there * depth < 1 - ANOTHER)
+    return count
+
+
+def _seen_by(camera: Camera, points: Array) -> tuple[Mask, tuple[FloatArray, FloatArray], Array]:
+    """(H, W) whether points are in a camera's frame, where for OpenCV, and their depths."""
+    x, y, depth = project(points, camera)
+    inside = (x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)
+    column, row = (np.where(inside, each, 0).astype(np.float32) for each in (x, y))
+    return inside, (column, row), depth
 
 
 def _in_patches(mask: Mask, nearness: Array) -> Mask:

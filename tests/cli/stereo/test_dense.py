@@ -121,6 +121,39 @@ def test_one_view_that_stands_alone_stays() -> None:
     np.testing.assert_array_equal(run(wrong, nobody).means, wrong.means)
 
 
+def with_poster(scene: Scene, recovered: Recovered, views: list[int]) -> NDArray[np.bool_]:
+    """Paint a near poster into some views' pictures only; (N, H, W) where it is."""
+    texture = np.random.default_rng(8).uniform(0, 1, (24, 24, 3)).astype(np.float32)
+    texture = cv2.resize(texture, (240, 240), interpolation=cv2.INTER_CUBIC)
+    corners = np.array([[0.2, -0.2], [0.6, -0.2], [0.6, 0.2], [0.2, 0.2]])
+    world = np.column_stack([corners, np.full(4, 1.5)])
+    there = np.zeros(scene.opacities.shape, np.bool_)
+    for view in views:
+        camera = recovered.cameras[view]
+        seen = world @ camera.extrinsics[:3, :3].T + camera.extrinsics[:3, 3]
+        pixels = seen @ camera.intrinsics.T
+        places = (pixels[:, :2] / pixels[:, 2:] - 0.5).astype(np.float32)
+        flat = np.array([[0, 0], [240, 0], [240, 240], [0, 240]], np.float32)
+        matrix = cv2.getPerspectiveTransform(flat, places)
+        poster = cv2.warpPerspective(texture, matrix, (SIDE, SIDE))
+        there[view] = cv2.warpPerspective(np.ones((240, 240), np.float32), matrix, (SIDE, SIDE)) > 0
+        scene.images[view] = np.where(
+            there[view], poster.clip(0, 1).transpose(2, 0, 1), scene.images[view]
+        )
+    return there
+
+
+def test_what_more_views_look_through_than_see_is_not_taken() -> None:
+    true, recovered = wall(5)
+    there = with_poster(true, recovered, [2, 3])
+    assert there[2].sum() > 1000
+    among_five = errors(run(true, recovered), true, recovered)
+    assert np.median(among_five[2][there[2]]) < 0.02
+    # For all that the two know by themselves it hangs there.
+    alone = replace(recovered, recovered=[False, False, True, True, False])
+    assert np.median(errors(run(true, alone), true, recovered)[2][there[2]]) > 0.15
+
+
 def test_threads_change_nothing() -> None:
     true, recovered = wall(3)
     wrong = with_depths(true, recovered, bumps)
