@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
+from contextlib import suppress
+from pathlib import Path
 from typing import NamedTuple
 
 from styl3r_cli.errors import OutOfMemoryError
@@ -11,6 +13,8 @@ from styl3r_cli.errors import OutOfMemoryError
 MEGABYTE = 1 << 20
 # Threads a core that libraries start: numpy's BLAS, scipy's, and numba's or the network's.
 THREADS = 4
+# What a container may have, by the kernel's second and first kind of control groups.
+CONTAINERS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 MANY_THREADS = 500  # a core; nobody but a container's or a shell's limit is below
 
 
@@ -90,6 +94,24 @@ def addresses() -> int | None:
 def data() -> int | None:
     """Bytes of data that this process may use; None where nothing limits them."""
     return _limit("RLIMIT_DATA")
+
+
+def memory() -> int | None:
+    """Bytes of memory that there are for this process; None where the system does not say.
+
+    That is the machine's, or what a container may use of it.
+    """
+    allowed = [limit for path in CONTAINERS if (limit := _number_in(path)) is not None]
+    with suppress(AttributeError, ValueError, OSError):  # Windows has no such names
+        allowed.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return min((limit for limit in allowed if limit > 0), default=None)
+
+
+def _number_in(path: str) -> int | None:
+    try:
+        return int(Path(path).read_text("ascii"))
+    except (OSError, ValueError):  # there is none, or it says "max"
+        return None
 
 
 def _limit(name: str) -> int | None:
