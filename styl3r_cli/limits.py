@@ -19,29 +19,31 @@ MANY_THREADS = 500  # a core; nobody but a container's or a shell's limit is bel
 
 
 class Need(NamedTuple):
-    """Bytes that a piece of work takes, as the two limits count them.
+    """Bytes that a piece of work takes, as the two limits count them, and the machine.
 
     Attributes:
         addresses: as `ulimit -v` counts, several times the memory that is used: libraries, and
             what threads reserve, count in full.
         data: as `ulimit -d` counts: what of it can be written to.
+        memory: what of it is used, and grows with the work. The rest is mostly reserved only.
     """
 
     addresses: int
     data: int
+    memory: int = 0
 
 
 def check(*needs: Need) -> None:
-    """Refuse to start under a limit that the work ahead cannot be done under.
+    """Refuse to start under a limit, or on a machine, that the work ahead cannot be done under.
 
-    Libraries in C crash or wait for ever where they get less than they ask for, so that there
-    would be nobody to tell it.
+    Libraries in C crash or wait for ever where they get less than they ask for, and a system whose
+    memory is over ends processes, so that there would be nobody to tell it.
 
     Args:
         needs: what has to fit, each by itself.
 
     Raises:
-        OutOfMemoryError: a limit is below one of them.
+        OutOfMemoryError: a limit is below one of them, or the machine's memory.
     """
     least = Need(*map(max, zip(*needs, strict=True)))
     limited = (
@@ -54,6 +56,12 @@ def check(*needs: Need) -> None:
                 f"out of memory: this process may use {limit // MEGABYTE} MB {what}, and needs "
                 f"{need // MEGABYTE} MB or more; raise the limit (ulimit {option} unlimited)"
             )
+    there = memory()
+    if there is not None and there < least.memory:
+        raise OutOfMemoryError(
+            f"out of memory: this machine or container has {there // MEGABYTE} MB, and "
+            f"{least.memory // MEGABYTE} MB or more are needed; try a smaller --size"
+        )
 
 
 def check_threads() -> None:
@@ -109,7 +117,7 @@ def memory() -> int | None:
 
 def _number_in(path: str) -> int | None:
     try:
-        return int(Path(path).read_text("ascii"))
+        return int(Path(path).read_text("utf-8"))
     except (OSError, ValueError):  # there is none, or it says "max"
         return None
 
