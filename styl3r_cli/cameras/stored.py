@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
-from styl3r_cli.cameras.json_values import FARTHEST, frame_size, is_lens, is_rotation
+from styl3r_cli.cameras.json_values import FARTHEST, frame_size, is_centre, is_lens, is_rotation
 
 # Viewers read only the first kilobytes when they look for the end of a PLY header (10 KB in a
 # popular one), so a camera is one short line: 8 of them are about 1.5 KB.
@@ -46,7 +46,9 @@ def _parse(text: str) -> Camera | None:
     extrinsics[:3] = np.reshape(values[6:], (3, 4))
     if size is None or not is_rotation(extrinsics[:3, :3]):
         return None
-    if not is_lens(fx, size[0]) or not is_lens(fy, size[1]) or max(abs(cx), abs(cy)) > FARTHEST:
+    if not is_lens(fx, size[0]) or not is_lens(fy, size[1]):
+        return None
+    if not is_centre(cx, size[0]) or not is_centre(cy, size[1]):
         return None
     if np.abs(extrinsics[:3, 3]).max() > FARTHEST:
         return None
