@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ from styl3r_cli.cameras.json_values import FARTHEST, frame_size, is_centre, is_l
 # Viewers read only the first kilobytes when they look for the end of a PLY header (10 KB in a
 # popular one), so a camera is one short line: 8 of them are about 1.5 KB.
 KEY = "camera.{}"
+KEYS = re.compile(r"camera\.[0-9]+")
 NUMBERS = 18  # width, height, fx, fy, cx, cy, and the upper three rows of the extrinsics
 DIGITS = 8  # more than float32 has; a thousandth of a pixel in any frame
 
@@ -32,6 +34,15 @@ def cameras_from_metadata(metadata: Mapping[str, str]) -> list[Camera]:
     while camera := _parse(metadata.get(KEY.format(len(cameras)), "")):
         cameras.append(camera)
     return cameras
+
+
+def damage(metadata: Mapping[str, str]) -> list[str]:
+    """A note on cameras that `cameras_from_metadata` leaves out: wrong ones, and any after them."""
+    read = len(cameras_from_metadata(metadata))
+    if sum(KEYS.fullmatch(key) is not None for key in metadata) == read:
+        return []
+    which = f" from {KEY.format(read)} on" if read else ""
+    return [f"the scene's cameras{which} are damaged and ignored"]
 
 
 def _parse(text: str) -> Camera | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from styl3r_cli.cameras.stored import damage
 from styl3r_cli.commands.options import STDOUT
 from styl3r_cli.errors import InputError, OutOfMemoryError, UsageError
 from styl3r_cli.files import read_file, read_stdin
@@ -53,10 +54,12 @@ def load(source: str, kind: str | None = None) -> SceneFile:
         OutOfMemoryError: it does not fit.
     """
     try:
-        return _loaded(source, f".{kind}" if kind else None)
+        file = _loaded(source, f".{kind}" if kind else None)
     except MemoryError as error:
         what = "the scene on standard input" if source == STDOUT else source
         raise OutOfMemoryError(f"out of memory: {what} does not fit") from error
+    notes = [*file.scene.notes, *damage(file.scene.metadata)]
+    return replace(file, scene=replace(file.scene, notes=notes))
 
 
 def _loaded(source: str, suffix: str | None) -> SceneFile:
