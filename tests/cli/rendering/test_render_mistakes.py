@@ -35,6 +35,8 @@ def test_frames_of_a_longer_film_that_stay_are_told(run: Run, scene: Path, tmp_p
         (["{scene}", "-o", "%s%d.png"], 2, "one frame number"),
         (["{scene}", "-o", "x.exr"], 2, "numbered names, such as %04d.exr"),
         (["{scene}", "-o", "x.exr", "--frames", "1", "--background", "red"], 2, "keep their alpha"),
+        (["{scene}", "-o", "x.mp4", "--format", "gif"], 2, "x.mp4 and --format gif contradict"),
+        (["{scene}", "-o", "%d.PNG", "--format", "jpg"], 2, "contradict"),
         (["{scene}", "-o", "no/x.mp4"], 6, "does not exist"),
         (["{scene}", "-o", "-", "--format", "exr"], 2, "need files"),
         (["{scene}", "-o", "x.exr", "--show", "depth"], 2, "one scene"),
@@ -161,6 +163,13 @@ def changed(scene: Path, old: bytes, new: bytes) -> Path:
     assert old in data
     path.write_bytes(data.replace(old, new, 1))
     return path
+
+
+def test_a_format_is_for_names_that_do_not_say_it(run: Run, scene: Path, tmp_path: Path) -> None:
+    for name in ("x", "x.unknown", "x.jpeg", "x.JPG"):
+        options = ("--format", "jpg", "--frames", 1, "--size", 16)
+        assert run(scene, "-o", tmp_path / name, *options) == (0, "")
+        assert (tmp_path / name).read_bytes().startswith(b"\xff\xd8")
 
 
 IGNORED = "styl3r: the scene's cameras are damaged and ignored\n"
