@@ -81,7 +81,8 @@ def film(request: RenderRequest, quiet: bool) -> None:
 def _read(source: str, console: Console) -> Scene:
     scene = load(source).scene
     for note in scene.notes:
-        console.note(note)
+        if note not in console.notes:  # the other scene's may be the same
+            console.note(note)
     if not len(scene.gaussians):
         console.note(f"{source}: no Gaussians in it: nothing is to be seen")
     return scene

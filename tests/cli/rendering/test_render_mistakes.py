@@ -194,6 +194,7 @@ def test_damaged_cameras_of_a_scene_are_told(
     damaged = changed(scene, old, new)
     options = ("-o", tmp_path / "x.png", "--frames", 1, "--size", 16)
     assert run(damaged, *options) == (0, words)
+    assert run(damaged, "--compare", damaged, *options) == (0, words)
 
 
 def test_a_scene_to_compare_with_without_gaussians_is_told(
