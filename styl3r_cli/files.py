@@ -11,9 +11,10 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, cast
 
 from styl3r_cli.errors import InputError, OutputError, UsageError
+from styl3r_cli.incoming import ANYTHING, Kind, check_size, collected
 from styl3r_cli.names import real_path
 from styl3r_cli.pipes import first_bytes, opened_at_once, reader_of
 
@@ -150,38 +151,51 @@ def _write_all(stream: IO[bytes], data: bytes) -> None:
         rest = rest[stream.write(rest) or 0 :]
 
 
-def read_file(path: Path) -> bytes:
+def read_file(path: Path, kind: Kind = ANYTHING) -> bytes:
     """What is in a file, or comes through a pipe that has a name: mkfifo's, or a shell's `<(...)`.
 
+    Args:
+        path: the file.
+        kind: how large it may be, and how it has to begin where it comes through a pipe.
+
     Raises:
+        InputError: it is larger than its kind, or through the pipe comes something else.
+        MemoryError: it does not fit.
         OSError: it cannot be read; it is a pipe that nobody writes to for long, or something of
             the system's that has nothing to say yet; or it is a device: /dev/zero never ends, and
             a link may lead there.
     """
     with open(path, "rb", opener=opened_at_once) as file:
-        mode = os.fstat(file.fileno()).st_mode
+        status = os.fstat(file.fileno())
+        mode = status.st_mode
         if stat.S_ISCHR(mode) or stat.S_ISBLK(mode):
             raise OSError(errno.EINVAL, "a device, not a file", str(path))
-        begun = first_bytes(file.fileno()) if stat.S_ISFIFO(mode) else b""
-        rest = file.read()
-        if rest is None:  # /proc/kmsg, say
+        if stat.S_ISFIFO(mode):
+            return collected(str(path), file.read1, kind, first_bytes(file.fileno()))
+        check_size(str(path), status.st_size, kind)
+        data = file.read()
+        if data is None:  # /proc/kmsg, say
             raise BlockingIOError(errno.EAGAIN, "nothing to be read", str(path))
-        return begun + rest
+        return data
 
 
-def read_stdin() -> bytes:
+def read_stdin(kind: Kind = ANYTHING) -> bytes:
     """Everything that is piped in, for an input named `-`.
+
+    Args:
+        kind: how large it may be, and how it has to begin.
 
     Raises:
         UsageError: standard input is a terminal.
-        InputError: nothing came, which means that the program before the pipe failed.
+        InputError: nothing came, which means that the program before the pipe failed; or
+            something other than what was expected.
     """
     if sys.stdin is None:
         raise UsageError("-: standard input is closed; pipe a file into it or name a file")
     if sys.stdin.isatty():
         raise UsageError("-: standard input is a terminal; pipe a file into it or name a file")
     try:
-        data = sys.stdin.buffer.read()
+        data = collected("-", cast(io.BufferedReader, sys.stdin.buffer).read1, kind)
     except OSError as error:
         raise InputError(f"-: cannot read standard input: {error.strerror or error}") from error
     if not data:

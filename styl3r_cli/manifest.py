@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from styl3r_cli.errors import ModelError, shortened
+from styl3r_cli.errors import InputError, ModelError, shortened
 from styl3r_cli.files import read_file
+from styl3r_cli.incoming import Kind
 
 STRUCTURE = "structure.onnx"
 APPEARANCE = "appearance.onnx"
@@ -97,11 +98,11 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         if path.stat().st_size > _LARGEST:
             raise ValueError("too large")
-        values = json.loads(read_file(path).decode("utf-8"))
+        values = json.loads(read_file(path, Kind("a manifest", _LARGEST)).decode("utf-8"))
     except FileNotFoundError as error:
         message = f"{folder}: no {MANIFEST}; a model is a folder that `styl3r export` wrote"
         raise ModelError(message) from error
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError, RecursionError, InputError) as error:
         raise ModelError(f"{path}: cannot be read ({error}); export the model again") from error
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise ModelError(f"{path}: not a manifest of styl3r graphs; export the model again")

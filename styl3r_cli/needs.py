@@ -2,6 +2,7 @@
 
 Measured as the largest that a process had without limits (VmPeak, and VmData every 5 ms), of mini
 at --size 64 to 512 with 2 to 8 photos, on two cores; by cores, with 1 to 16 worth of threads.
+Memory is what the largest resident size grows by, and a quarter more, which is the system's.
 """
 
 from __future__ import annotations
@@ -16,16 +17,14 @@ NETWORK_CORE, DRAWING_CORE, SCENE_CORE = (190, 80), (150, 90), (270, 110)
 TO_START = Need(40 * MEGABYTE, 20 * MEGABYTE)  # `--version`: 24 and 11
 
 
-def _need(
-    fixed: tuple[int, int], core: tuple[int, int] = (0, 0), *parts: tuple[int, tuple[int, int]]
-) -> Need:
+def _need(fixed: tuple[int, int], core: tuple[int, int] = (0, 0), *parts: tuple[int, Need]) -> Need:
     """Fixed megabytes, megabytes a core, and for so many things bytes a thing."""
     more = max(available_cores() - CORES, 0)
     addresses, data = (
         (fixed[i] + more * core[i]) * MEGABYTE + sum(count * each[i] for count, each in parts)
-        for i in range(len(Need._fields))
+        for i in range(len(fixed))
     )
-    return Need(addresses, data)
+    return Need(addresses, data, sum(count * each.memory for count, each in parts))
 
 
 def at_all() -> Need:
@@ -47,7 +46,7 @@ def network(pixels: int = 0, shown: bool = False) -> Need:
         shown: whether its scene is drawn afterwards: 1979 and 1093 MB for the former.
     """
     fixed = (1950, 960) if shown else (1350, 700)
-    return _need(fixed, SCENE_CORE if shown else NETWORK_CORE, (pixels, (1600, 1750)))
+    return _need(fixed, SCENE_CORE if shown else NETWORK_CORE, (pixels, Need(1600, 1750, 2100)))
 
 
 def scene(pixels: int) -> Need:
@@ -57,7 +56,7 @@ def scene(pixels: int) -> Need:
         pixels: of all views together. 2434 and 1477 MB for 2 of 256x256 whose kernels are not
             compiled yet, 3225 and 2002 for 4, 4897 and 3344 for 8, 7316 and 6500 for 8 of 384x384.
     """
-    return _need((1750, 900), SCENE_CORE, (pixels, (6400, 5000)))
+    return _need((1750, 900), SCENE_CORE, (pixels, Need(6400, 5000, 2500)))
 
 
 def drawing(pixels: int = 0, gaussians: int = 0, film: bool = False) -> Need:
@@ -69,4 +68,5 @@ def drawing(pixels: int = 0, gaussians: int = 0, film: bool = False) -> Need:
         film: whether they are encoded together: 1450 and 765 MB for an .mp4 of 1920x1080.
     """
     fixed = (1300, 600) if film else (1060, 500)
-    return _need(fixed, DRAWING_CORE, (pixels, (100, 100)), (gaussians, (200, 200)))
+    a_pixel, a_gaussian = Need(100, 100, 100), Need(200, 200, 200)
+    return _need(fixed, DRAWING_CORE, (pixels, a_pixel), (gaussians, a_gaussian))

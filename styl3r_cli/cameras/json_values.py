@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from styl3r_cli.errors import InputError
 from styl3r_cli.files import read_file
+from styl3r_cli.incoming import Kind
 
 # Files with six digits are off by 1e-6; a scaled or sheared matrix by far more.
 RIGID_TOLERANCE = 1e-3
@@ -19,7 +20,12 @@ LARGEST_SIDE = 99_999  # pixels of a frame; `--size` takes as many digits
 FARTHEST = 1e15  # of a camera from the origin: float32 holds squares up to 3e38
 # Degrees across or down a frame: what the renderer is exact for, and more than any lens has.
 NARROWEST, WIDEST = 0.01, 179.0
+# Frames between a frame and its principal point. A crop of a large photo has it outside: 100 frames
+# away is a frame of 200 pixels out of the corner of one of 40,000.
+FARTHEST_CENTRE = 100
 MOST_FPS = 1000  # as many as `--fps` takes
+# Bytes of a camera file: `render --save-path` writes 130 MB for as many frames as it draws at most.
+CAMERA_FILE = Kind("a camera file", 256 << 20)
 LONGEST_QUOTE = 40  # characters of a wrong value in a message
 
 
@@ -27,7 +33,7 @@ def load_object(source: Path | bytes) -> tuple[str, dict[str, Any]]:
     """The name of a source, for messages, and the JSON object in it."""
     name = "-" if isinstance(source, bytes) else str(source)
     try:
-        data = source if isinstance(source, bytes) else read_file(source)
+        data = source if isinstance(source, bytes) else read_file(source, CAMERA_FILE)
         content = json.loads(data)
     except OSError as error:
         raise InputError(f"{name}: cannot be read: {error.strerror or error}") from error
@@ -72,6 +78,11 @@ def is_lens(focal: float, side: float) -> bool:
     if not focal > 0:
         return False
     return NARROWEST <= math.degrees(2 * math.atan(side / 2 / focal)) <= WIDEST
+
+
+def is_centre(coordinate: float, side: float) -> bool:
+    """Whether a principal point's coordinate in pixels is one of a frame so wide or high."""
+    return -FARTHEST_CENTRE * side <= coordinate <= (1 + FARTHEST_CENTRE) * side
 
 
 def rigid(matrix: Any, where: str, key: str = "transform_matrix") -> NDArray[np.float64]:

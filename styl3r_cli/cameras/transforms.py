@@ -13,10 +13,11 @@ import numpy as np
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.json_values import (
-    FARTHEST,
+    FARTHEST_CENTRE,
     NARROWEST,
     WIDEST,
     frame_size,
+    is_centre,
     is_lens,
     load_object,
     number,
@@ -162,16 +163,14 @@ def _camera(values: dict[str, Any], size: tuple[int, int] | None, where: str) ->
     fy = _focal(values, "fl_y", "camera_angle_y", height, where)
     if fx is None and fy is None:
         raise InputError(f"{where}: no focal length ('fl_x' or 'camera_angle_x')")
-    cx, cy = number(values, "cx", where), number(values, "cy", where)
-    if max(abs(cx or 0), abs(cy or 0)) > FARTHEST:
-        raise InputError(f"{where}: 'cx' and 'cy' are too far out to be drawn")
+    cx, cy = _centre(values, "cx", width, where), _centre(values, "cy", height, where)
     pose = rigid(values.get("transform_matrix"), where)
     return Camera(
         extrinsics=np.linalg.inv(pose @ OPENGL_FROM_OPENCV).astype(np.float64),
         fx=fx or fy or 0.0,
         fy=fy or fx or 0.0,
-        cx=width / 2 if cx is None else cx,
-        cy=height / 2 if cy is None else cy,
+        cx=cx,
+        cy=cy,
         width=width,
         height=height,
     )
@@ -188,6 +187,16 @@ def _size(values: dict[str, Any], size: tuple[int, int] | None, where: str) -> t
     if found is None:
         raise InputError(f"{where}: 'w' and 'h' are {width:g} and {height:g}, not a picture's size")
     return found
+
+
+def _centre(values: dict[str, Any], key: str, side: float, where: str) -> float:
+    centre = number(values, key, where)
+    if centre is not None and not is_centre(centre, side):
+        raise InputError(
+            f"{where}: '{key}' is {centre:g}, more than {FARTHEST_CENTRE} frames of {side:g} "
+            "pixels outside of the frame"
+        )
+    return side / 2 if centre is None else centre
 
 
 def _focal(

@@ -52,8 +52,6 @@ def film(request: RenderRequest, quiet: bool) -> None:
     with console.stage("scene"):
         scene = _read(request.scene, console)
         other = _read(str(request.compare), console) if request.compare else None
-        if not len(scene.gaussians):
-            console.note(f"{request.scene}: no Gaussians in it: nothing is to be seen")
         shots = plan_shots(request, scene, console)
         first = shots.cameras[0]
         check_size(request, first.width, first.height)
@@ -83,7 +81,10 @@ def film(request: RenderRequest, quiet: bool) -> None:
 def _read(source: str, console: Console) -> Scene:
     scene = load(source).scene
     for note in scene.notes:
-        console.note(note)
+        if note not in console.notes:  # the other scene's may be the same
+            console.note(note)
+    if not len(scene.gaussians):
+        console.note(f"{source}: no Gaussians in it: nothing is to be seen")
     return scene
 
 

@@ -16,18 +16,11 @@ from styl3r_cli.movies import PIPED
 from styl3r_cli.names import user_path
 from styl3r_cli.quality import BEST
 
-PICTURES = ("png", "jpg", "jpeg")
+PICTURES = ("png", "jpg")
 LINEAR = "exr"
 FORMATS = (*MOVIES, "y4m", "rgb", "png", "jpg", LINEAR)
 # The longest side that a format can say (and x264 encode), in pixels.
-LONGEST_SIDES = {
-    "mp4": 16384,
-    "webm": 65535,
-    "webp": 16383,
-    "gif": 65535,
-    "jpg": 65500,
-    "jpeg": 65500,
-}
+LONGEST_SIDES = {"mp4": 16384, "webm": 65535, "webp": 16383, "gif": 65535, "jpg": 65500}
 # A number of thousands of digits is no file's name, whether they are its width or its precision.
 TOO_WIDE = r"%[-+ #\d.]*\d{4}"
 WITH_ALPHA = ("webm", "webp", "png", "rgb")
@@ -69,9 +62,12 @@ class RenderRequest:
     @property
     def kind(self) -> str:
         """The output's format: as asked for, else by its suffix; MP4 for standard output."""
-        if self.format:
-            return self.format
-        return "mp4" if self.output == STDOUT else self.file.suffix.lower().removeprefix(".")
+        return self.format or ("mp4" if self.output == STDOUT else self.named)
+
+    @property
+    def named(self) -> str:
+        """The suffix of the output's name, without its dot: maybe a format's."""
+        return self.file.suffix.lower().removeprefix(".").replace("jpeg", "jpg")
 
     @property
     def file(self) -> Path:
@@ -187,11 +183,13 @@ def _inputs(request: RenderRequest) -> list[Path]:
 
 def _check_kind(request: RenderRequest) -> None:
     kind = request.kind
-    if kind not in (*FORMATS, "jpeg"):
+    if kind not in FORMATS:
         raise UsageError(
             f"-o {request.file}: name a video (OUT.mp4, .webm, .gif, .webp, .y4m) or frames "
             "(DIR/%04d.png, .jpg, .exr)"
         )
+    if request.named in FORMATS and request.named != kind:
+        raise UsageError(f"-o {request.file} and --format {kind} contradict each other; drop one")
     if request.output == STDOUT and kind in ("jpg", LINEAR):
         raise UsageError(f"-o -: {kind} frames need files; through a pipe go {', '.join(PIPED)}")
     if kind == LINEAR and request.background is not None:

@@ -22,7 +22,7 @@ from styl3r_cli.names import real_path, user_path
 from styl3r_cli.painter import warm_up
 from styl3r_cli.photos import Photos, Style, expand, load_photos, load_style
 from styl3r_cli.photos.focal import focal_from_fov
-from styl3r_cli.photos.listing import parse_list
+from styl3r_cli.photos.listing import NAMES, parse_list
 from styl3r_cli.photos.load import DEFAULT_SIZE, MAX_VIEWS
 from styl3r_cli.pipeline import Stylizer, style_shares
 from styl3r_cli.pipes import is_pipe
@@ -176,7 +176,7 @@ def _load_styles(request: SceneRequest) -> tuple[list[Style | None], list[str]]:
 def _listed(request: SceneRequest) -> list[str]:
     """The photos that are named on standard input, for the argument "-"."""
     if STDOUT in request.photos:
-        return parse_list(read_stdin(), request.null)
+        return parse_list(read_stdin(NAMES), request.null)
     if request.null:
         raise UsageError("-0 is for photos that are named on standard input; add the argument -")
     return []

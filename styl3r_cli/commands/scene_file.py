@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from styl3r_cli.cameras.stored import damage
 from styl3r_cli.commands.options import STDOUT
-from styl3r_cli.errors import InputError, UsageError
+from styl3r_cli.errors import InputError, OutOfMemoryError, UsageError
 from styl3r_cli.files import read_file, read_stdin
-from styl3r_cli.formats import Scene, read_scene, recognise, scene_suffix
+from styl3r_cli.formats import Scene, begins, read_scene, recognise, scene_suffix
+from styl3r_cli.incoming import Kind
 from styl3r_cli.names import user_path
 from styl3r_cli.pipes import is_pipe
 
@@ -49,15 +51,25 @@ def load(source: str, kind: str | None = None) -> SceneFile:
     Raises:
         UsageError: no format has the file's suffix.
         InputError: it cannot be read, or is damaged.
+        OutOfMemoryError: it does not fit.
     """
-    suffix = f".{kind}" if kind else None
+    try:
+        file = _loaded(source, f".{kind}" if kind else None)
+    except MemoryError as error:
+        what = "the scene on standard input" if source == STDOUT else source
+        raise OutOfMemoryError(f"out of memory: {what} does not fit") from error
+    notes = [*file.scene.notes, *damage(file.scene.metadata)]
+    return replace(file, scene=replace(file.scene, notes=notes))
+
+
+def _loaded(source: str, suffix: str | None) -> SceneFile:
     if source == STDOUT:
-        data = read_stdin()
+        data = read_stdin(Kind("a scene", begins=lambda begun: begins(begun, suffix, STDOUT)))
         suffix = suffix or recognise(data) or ""
         return SceneFile(read_scene(data, suffix or None), suffix, len(data))
     path = user_path(source)
     if is_pipe(path):  # its name, /dev/fd/63 say, tells nothing
-        data = _through_pipe(path)
+        data = _through_pipe(path, suffix)
         suffix = suffix or recognise(data) or ""
         return SceneFile(read_scene(data, suffix or None, str(path)), suffix, len(data))
     suffix = suffix or scene_suffix(path)
@@ -68,8 +80,10 @@ def load(source: str, kind: str | None = None) -> SceneFile:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _through_pipe(path: Path) -> bytes:
+def _through_pipe(path: Path, suffix: str | None) -> bytes:
     try:
-        return read_file(path)
+        return read_file(
+            path, Kind("a scene", begins=lambda begun: begins(begun, suffix, str(path)))
+        )
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error

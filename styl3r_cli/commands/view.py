@@ -78,7 +78,7 @@ def command(
     sources = [source, str(compare)] if compare else [source]
     with console.stage("read"):
         scenes = [load(each).scene for each in sources]
-    for note in [note for scene in scenes for note in scene.notes]:
+    for note in dict.fromkeys(note for scene in scenes for note in scene.notes):
         console.note(note)
     cameras = next(filter(None, (cameras_from_metadata(each.metadata) for each in scenes)), [])
     if not cameras:

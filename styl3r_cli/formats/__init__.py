@@ -35,6 +35,7 @@ MODULES = {
     ".glb": "styl3r_cli.formats.glb",
     ".points.glb": "styl3r_cli.formats.points_glb",
 }
+UNKNOWN = f"not a scene in a known format ({', '.join(MODULES)})"
 # How a scene that comes through a pipe is recognised. A .splat has no such mark.
 MAGIC = {
     b"ply": ".ply",
@@ -70,6 +71,32 @@ def recognise(data: bytes) -> str | None:
     return ".splat" if _module(".splat").recognised(data) else None
 
 
+def begins(begun: bytes, suffix: str | None, name: str) -> bool:
+    """Whether the first bytes of a file show a scene; False where they are too few to tell.
+
+    Args:
+        begun: the first bytes, 16 or more.
+        suffix: the format, where it is known.
+        name: what to call the file in messages.
+
+    Raises:
+        InputError: they are of no scene, or of one in another format.
+    """
+    magic = next((magic for magic in MAGIC if begun.startswith(magic)), None)
+    if suffix is None and magic is None:
+        likely: bool | None = _module(".splat").begins(begun)
+        if likely is False:
+            raise InputError(f"{name}: {UNKNOWN}")
+        return bool(likely)
+    if suffix not in (None, ".splat") and magic is None:
+        _module(suffix).decode(begun, name)  # which says what is wrong
+    if magic == b"ply":
+        from styl3r_cli.formats.ply_container import header_is_whole
+
+        return header_is_whole(begun, name)
+    return True
+
+
 def read_scene(source: Path | bytes, suffix: str | None = None, name: str = "-") -> Scene:
     """Read a scene from a file or from the bytes of one.
 
@@ -85,7 +112,7 @@ def read_scene(source: Path | bytes, suffix: str | None = None, name: str = "-")
     if isinstance(source, bytes):
         suffix = suffix or recognise(source)
         if suffix is None:
-            raise InputError(f"{name}: not a scene in a known format ({', '.join(MODULES)})")
+            raise InputError(f"{name}: {UNKNOWN}")
         return _module(suffix).decode(source, name)
     suffix = suffix or scene_suffix(source)
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,17 +110,21 @@ def header(metadata: dict[str, str], lines: list[str]) -> bytes:
 
 
 def metadata_of(comments: list[str]) -> dict[str, str]:
-    """The inverse of what `header` does to metadata; other programs' comments as they are."""
-    metadata = {}
+    """The inverse of what `header` does to metadata; other programs' comments as they are.
+
+    Of a key with several values all are told, which makes a camera none: which is meant?
+    """
+    metadata: dict[str, list[str]] = {}
     for comment in comments:
         match = _COMMENT.fullmatch(comment)
         if match:
             key, value = match.groups()
-            try:
-                metadata[key] = json.loads(f'"{value}"')
-            except json.JSONDecodeError:
-                metadata[key] = value  # another program's comment
-    return metadata
+            with suppress(json.JSONDecodeError):  # another program's comment
+                value = json.loads(f'"{value}"')
+            values = metadata.setdefault(key, [])
+            if values[-1:] != [value]:
+                values.append(value)
+    return {key: "; ".join(values) for key, values in metadata.items()}
 
 
 def _stored(gaussians: Gaussians) -> NDArray[np.float32]:

@@ -32,6 +32,7 @@ SCALARS = {
     "float64": "f8",
 }
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+MAGIC = (b"ply\n", b"ply\r")
 END = b"end_header"
 MOST_ROWS = 1 << 60  # no file has more; numbers of thousands of digits make long messages
 LONGEST_QUOTE = 80  # characters of a damaged file in a message
@@ -96,14 +97,31 @@ def read_element(data: bytes, name: str, wanted: str = "vertex") -> Table:
     return Table(element.names, read(data, body, order, before, element, name), comments)
 
 
+def header_is_whole(begun: bytes, name: str) -> bool:
+    """Whether the first bytes of a file have a PLY's header to its end.
+
+    Raises:
+        InputError: they are of no PLY file, or the header is longer than any that is read.
+    """
+    if len(begun) >= len(MAGIC[0]) and begun[: len(MAGIC[0])] not in MAGIC:
+        raise InputError(f"{name}: not a PLY file")
+    end = begun.find(b"\n" + END, 0, LONGEST_HEADER)
+    if end >= 0 and begun.find(b"\n", end + 1, LONGEST_HEADER) >= 0:
+        return True
+    if len(begun) >= LONGEST_HEADER:
+        size = f"{LONGEST_HEADER >> 20} MB"
+        raise InputError(f"{name}: the PLY header does not end within {size}; no more is read")
+    return False
+
+
 def _split(data: bytes, name: str) -> tuple[list[str], int]:
     """The header's lines, and where the body begins."""
-    if data[:4] not in (b"ply\n", b"ply\r"):
+    if data[:4] not in MAGIC:
         raise InputError(f"{name}: not a PLY file" if data else f"{name}: the file is empty")
-    end = data.find(b"\n" + END, 0, LONGEST_HEADER)
-    line_end = data.find(b"\n", end + 1) if end >= 0 else -1
-    if line_end < 0:
+    if not header_is_whole(data, name):
         raise InputError(f"{name}: the PLY header has no end; is the file cut off?")
+    end = data.find(b"\n" + END)
+    line_end = data.find(b"\n", end + 1)
     text = data[:end].decode("utf-8", errors="replace")
     return [line.removesuffix("\r") for line in text.split("\n")], line_end + 1
 

@@ -17,6 +17,8 @@ LOSS = ".splat rounds colours, opacities and rotations to 8 bits"
 # within their rounding; random bytes hardly ever do.
 LENGTH_ERROR = 0.03
 RECOGNISED = 0.95  # of the rows
+# Of its first ones alone, which may be odd ones. Fewer rows than these say nothing yet.
+LIKELY, LIKELY_ROWS = 0.5, 256
 
 
 def encode(gaussians: Gaussians, metadata: dict[str, str]) -> Encoded:
@@ -75,6 +77,17 @@ def recognised(data: bytes) -> bool:
     """Whether bytes that say nothing of themselves look like a .splat."""
     if not data or len(data) % ROW.itemsize:
         return False
+    return _plausible(data) >= RECOGNISED
+
+
+def begins(begun: bytes) -> bool | None:
+    """Whether bytes may be the beginning of a .splat; None where there are too few of them."""
+    rows = len(begun) // ROW.itemsize
+    return None if rows < LIKELY_ROWS else _plausible(begun[: rows * ROW.itemsize]) >= LIKELY
+
+
+def _plausible(data: bytes) -> float:
+    """The share of rows whose rotations are ones."""
     rows = np.frombuffer(data, ROW)
     length = np.linalg.norm((rows["turn"].astype(np.float64) - ZERO) / ZERO, axis=1)
-    return bool((np.abs(length - 1) < LENGTH_ERROR).mean() >= RECOGNISED)
+    return float((np.abs(length - 1) < LENGTH_ERROR).mean())

@@ -20,11 +20,14 @@ from PIL import Image, ImageCms
 from styl3r_cli import memory
 from styl3r_cli.errors import InputError, shortened
 from styl3r_cli.files import read_file
-from styl3r_cli.photos.decoders import identified
+from styl3r_cli.incoming import Kind
+from styl3r_cli.photos.decoders import begins, identified
 from styl3r_cli.photos.focal import read_equivalent_focal
 
 # A 200-megapixel phone photo passes; more is a scan too large for this, or a decompression bomb.
 MAX_PIXELS = 220_000_000
+# Bytes of a file: so many pixels of four channels and 16 bits as they are, and what is beside them.
+LARGEST_FILE = 8 * MAX_PIXELS + (64 << 20)
 # Photos have at most ten pixels a byte, flat drawings some dozens. What claims more, and would take
 # much memory, is a decompression bomb.
 BELIEVED_PIXELS, MOST_PIXELS_A_BYTE = 32_000_000, 100
@@ -100,7 +103,7 @@ def decode(path: Path) -> Decoded:
 def opened_picture(path: Path) -> Iterator[Image.Image]:
     """A picture with its pixels as the file has them; raises as `decode`, in the block too."""
     with failures_named(path):
-        data = read_file(path)
+        data = read_file(path, Kind("a picture", LARGEST_FILE, lambda begun: begins(begun, path)))
         _refuse_by_content(path, data)
         with identified(path, data) as opened:
             _refuse_bombs(path, opened.width * opened.height, len(data))

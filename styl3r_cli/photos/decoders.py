@@ -24,6 +24,21 @@ from styl3r_cli.errors import InputError
 FORMATS = ["JPEG", "PNG", "WEBP", "TIFF", "BMP", "GIF", "PPM", "AVIF", "HEIF"]
 LOOKED_AT = 16  # bytes of a file, by which Pillow's plugins tell their format
 
+UNKNOWN = "not a picture that can be read (JPEG, PNG, WebP, TIFF)"
+
+
+def begins(begun: bytes, path: Path) -> bool:
+    """Whether the first 16 bytes or more of a file may be those of a picture.
+
+    Raises:
+        InputError: they are of something else.
+    """
+    accepts = [Image.OPEN[name][1] for name in FORMATS if name in Image.OPEN]
+    boxes = begun[4:8] == b"ftyp"  # HEIC, whose plugin is not there before it is needed
+    if not boxes and not any(accept and accept(begun[:LOOKED_AT]) for accept in accepts):
+        raise InputError(f"{path}: {UNKNOWN}")
+    return True
+
 
 def identified(path: Path, data: bytes) -> Image.Image:
     """A photo file's picture, not yet decoded.
@@ -38,7 +53,7 @@ def identified(path: Path, data: bytes) -> Image.Image:
         # Of pixels of a kind that it does not know, Pillow says no more than of noise.
         accepts = ((name, Image.OPEN[name][1]) for name in formats)
         likely = [name for name, accept in accepts if accept and accept(data[:LOOKED_AT]) is True]
-        message = "not a picture that can be read (JPEG, PNG, WebP, TIFF)"
+        message = UNKNOWN
         if likely:
             message = f"{likely[0]}, but damaged or with pixels of a kind that cannot be read"
             message += "; export it as PNG with 8 or 16 bits"

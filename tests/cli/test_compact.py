@@ -125,3 +125,10 @@ def test_the_scene_is_never_overwritten(scene: Path, compact: Compact) -> None:
 )
 def test_sizes_as_people_write_them(text: str, size: int) -> None:
     assert BytesType().convert(text, None, None) == size
+
+
+def test_damaged_cameras_are_told_once(scene: Path, tmp_path: Path, compact: Compact) -> None:
+    scene.write_bytes(scene.read_bytes().replace(b"camera.0: 24 ", b"camera.0: 24.5 "))
+    code, _, told = compact(scene, "-o", tmp_path / "x.ply", "--max-gaussians", 100)
+    assert code == 0
+    assert told.count("styl3r: the scene's cameras are damaged and ignored\n") == 1

@@ -252,7 +252,9 @@ FAR[0, 3] = 1e300
         ({"fl_x": 1e-300}, "not a focal length"),
         ({"fl_x": -60}, "not a focal length"),
         ({"fl_y": 1e9}, "not a focal length"),
-        ({"cx": 1e300}, "too far out"),
+        ({"cx": 1e300}, "'cx' is 1e+300, more than 100 frames of 64 pixels outside of the frame"),
+        ({"cy": -6401}, "'cy' is -6401, more than 100 frames of 64 pixels outside of the frame"),
+        ({"cx": 6465}, "'cx' is 6465, more than 100"),
         ({"camera_model": "x" * 10**5}, "no perspective camera"),
         (placed([[10**400, 0, 0, 0]] * 4), "not a 4x4 matrix"),
         (placed(OVERFLOWING.tolist()), "no rigid motion"),
@@ -270,6 +272,29 @@ def test_camera_files_beyond_numbers(changes: dict[str, Any], words: str) -> Non
     assert len(str(caught.value)) < 200
 
 
+def test_crops_have_their_principal_point_outside() -> None:
+    (camera,) = read_transforms(transforms(cx=-6400, cy=6464)).cameras
+    assert (camera.cx, camera.cy) == (-6400, 6464)
+    assert len(cameras_from_metadata(cameras_to_metadata([camera]))) == 1
+
+
+@pytest.mark.parametrize("command", ["reconstruct {photos} -o x.ply", "render s.ply -o x.png"])
+def test_a_camera_file_with_an_absurd_principal_point_is_named(
+    tmp_path: Path, run: Run, photos: list[Path], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_scene(Path("s.ply"), one_gaussian())
+    Path("cx.json").write_bytes(transforms(cx=1e9))
+    words = command.format(photos=photos[0].parent).split()
+    if words[0] == "render":
+        assert main.run([*words, "--cameras", "cx.json"]) == 3
+    else:
+        code, _, err = run(*words, "--cameras", "cx.json")
+        assert (code, err.count("\n")) == (3, 1)
+        assert "cx.json: frame 1: 'cx' is 1e+09, more than" in err
+    assert not list(tmp_path.glob("x.*"))
+
+
 @pytest.mark.parametrize("width", [10**400, 1e300, LARGEST_SIDE + 1, 0.5, -3])
 def test_camera_paths_beyond_numbers(width: float) -> None:
     content = {"render_width": width, "render_height": 9, "camera_path": [{}]}
@@ -285,6 +310,7 @@ def test_camera_paths_beyond_numbers(width: float) -> None:
         "64 64 60 60 32 32" + " 1e300" * 12,
         "64 64 1e300 60 32 32 1 0 0 0 0 1 0 0 0 0 1 0",
         "64 64 60 60 1e300 32 1 0 0 0 0 1 0 0 0 0 1 0",
+        "64 64 60 60 32 6465 1 0 0 0 0 1 0 0 0 0 1 0",
         "1e300 64 60 60 32 32 1 0 0 0 0 1 0 0 0 0 1 0",
         "64 200000 60 60 32 32 1 0 0 0 0 1 0 0 0 0 1 0",
         "64 64 60 60 32 32 1 0 0 0 0 1 0 0 0 0 -1 0",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import subprocess
 import sys
 import threading
@@ -164,6 +165,41 @@ def test_a_limit_that_is_too_low_is_said_before_the_model_loads(
     )  # before it is looked for
     monkeypatch.setattr(limits, kind, lambda: None)
     limits.check(needs.network())
+
+
+def small_scene(folder: Path) -> Path:
+    one = np.ones((1, 3), np.float32)
+    path = folder / "x.ply"
+    write_scene(path, Gaussians(one, one, np.eye(4, dtype=np.float32)[:1], one[:, 0], one))
+    return path
+
+
+def test_frames_that_no_machine_has_memory_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A terabyte is refused by what this machine has; nothing limits the process."""
+    scene, picture = small_scene(tmp_path), tmp_path / "x.png"
+    words = ["render", str(scene), "-o", str(picture), "--frames", "1", "--size", "99999x99999"]
+    assert main.run(words) == ExitCode.INTERNAL
+    err = capsys.readouterr().err
+    assert re.search(r"this machine or container has \d+ MB, and 95\d{4} MB or more are", err)
+    assert err.count("\n") == 1
+    assert not picture.exists()
+
+
+@pytest.mark.parametrize(("there", "code"), [(24 << 20, 1), (25 << 20, 0)])
+def test_a_container_may_have_less_than_the_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: int, code: int
+) -> None:
+    """A frame of 512x512 needs 25 MB that grow with it; what is reserved is not counted."""
+    told = tmp_path / "memory.max"
+    told.write_text(f"{there + 300}\n")
+    monkeypatch.setattr(limits, "CONTAINERS", (str(told), str(tmp_path / "none")))
+    assert limits.memory() == there + 300
+    words = ["render", str(small_scene(tmp_path)), "-o", str(tmp_path / "x.png")]
+    assert main.run([*words, "--frames", "1", "--size", "512x512", "-q"]) == code
+    told.write_text("max\n")
+    assert (limits.memory() or there) >= there
 
 
 def test_more_photos_pixels_and_cores_need_more(monkeypatch: pytest.MonkeyPatch) -> None:

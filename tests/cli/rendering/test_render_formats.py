@@ -103,8 +103,8 @@ def test_pipes_at_both_ends(scene: Path, tmp_path: Path) -> None:
     assert len(video_frames(tmp_path / "v.mp4")) == 2
 
 
-@pytest.mark.parametrize("name", ["%d", "%d.jpg"])
-def test_the_format_that_is_asked_for_is_written_under_any_name(
+@pytest.mark.parametrize("name", ["%d", "%d.frame"])
+def test_the_format_that_is_asked_for_is_written_under_a_name_that_says_none(
     run: Run, scene: Path, tmp_path: Path, name: str
 ) -> None:
     words = ("--frames", 2, "--size", 16, "--background", "transparent", "--format", "png")
@@ -114,6 +114,6 @@ def test_the_format_that_is_asked_for_is_written_under_any_name(
         with Image.open(path) as picture:
             assert (picture.format, picture.mode) == ("PNG", "RGBA")
     words = ("--frames", 1, "--size", 16, "--format", "jpg")
-    assert run(scene, "-o", tmp_path / "a.png", *words)[0] == 0
-    with Image.open(tmp_path / "a.png") as picture:
+    assert run(scene, "-o", tmp_path / "a.picture", *words)[0] == 0
+    with Image.open(tmp_path / "a.picture") as picture:
         assert picture.format == "JPEG"

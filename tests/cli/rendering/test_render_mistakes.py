@@ -35,6 +35,8 @@ def test_frames_of_a_longer_film_that_stay_are_told(run: Run, scene: Path, tmp_p
         (["{scene}", "-o", "%s%d.png"], 2, "one frame number"),
         (["{scene}", "-o", "x.exr"], 2, "numbered names, such as %04d.exr"),
         (["{scene}", "-o", "x.exr", "--frames", "1", "--background", "red"], 2, "keep their alpha"),
+        (["{scene}", "-o", "x.mp4", "--format", "gif"], 2, "x.mp4 and --format gif contradict"),
+        (["{scene}", "-o", "%d.PNG", "--format", "jpg"], 2, "contradict"),
         (["{scene}", "-o", "no/x.mp4"], 6, "does not exist"),
         (["{scene}", "-o", "-", "--format", "exr"], 2, "need files"),
         (["{scene}", "-o", "x.exr", "--show", "depth"], 2, "one scene"),
@@ -152,3 +154,56 @@ def test_uncropped_undoes_the_photos_crop(size: tuple[int, int], frame: tuple[in
     np.testing.assert_allclose(whole.intrinsics, camera.intrinsics, rtol=1e-5)
     # `cropped` does not round, so it agrees to half a pixel of the scaled photo.
     np.testing.assert_allclose(cropped(camera, width, height).intrinsics, fitted, rtol=0.01)
+
+
+def changed(scene: Path, old: bytes, new: bytes) -> Path:
+    """The scene with something else in its header."""
+    path = scene.with_name("changed.ply")
+    data = scene.read_bytes()
+    assert old in data
+    path.write_bytes(data.replace(old, new, 1))
+    return path
+
+
+def test_a_format_is_for_names_that_do_not_say_it(run: Run, scene: Path, tmp_path: Path) -> None:
+    for name in ("x", "x.unknown", "x.jpeg", "x.JPG"):
+        options = ("--format", "jpg", "--frames", 1, "--size", 16)
+        assert run(scene, "-o", tmp_path / name, *options) == (0, "")
+        assert (tmp_path / name).read_bytes().startswith(b"\xff\xd8")
+
+
+IGNORED = "styl3r: the scene's cameras are damaged and ignored\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b"camera.0: 64 ", b"camera.0: nan ", IGNORED),
+        (b"camera.0: 64 ", b"camera.0: 64.5 ", IGNORED),
+        (b"camera.0: 64 48 60 ", b"camera.0: 64 48 0 ", IGNORED),
+        (b"camera.0: ", b"camera.7: ", IGNORED),
+        (b"comment camera.0", b"comment camera.0: another\ncomment camera.0", IGNORED),
+        (b"camera.1: ", b"camera.1: nan ", IGNORED.replace(" are", " from camera.1 on are")),
+        (b"camera.1: ", b"camera.2: ", IGNORED.replace(" are", " from camera.1 on are")),
+        (b"camera.1: ", b"a.camera: ", ""),
+    ],
+)
+def test_damaged_cameras_of_a_scene_are_told(
+    run: Run, scene: Path, tmp_path: Path, old: bytes, new: bytes, words: str
+) -> None:
+    damaged = changed(scene, old, new)
+    options = ("-o", tmp_path / "x.png", "--frames", 1, "--size", 16)
+    assert run(damaged, *options) == (0, words)
+    assert run(damaged, "--compare", damaged, *options) == (0, words)
+
+
+def test_a_scene_to_compare_with_without_gaussians_is_told(
+    run: Run, scene: Path, tmp_path: Path
+) -> None:
+    empty = tmp_path / "empty.ply"
+    none = np.zeros((0, 3), np.float32)
+    write_scene(empty, Gaussians(none, none, np.zeros((0, 4), np.float32), none[:, 0], none))
+    options = ("-o", tmp_path / "x.png", "--frames", 1, "--size", 16)
+    told = f"styl3r: {empty}: no Gaussians in it: nothing is to be seen\n"
+    assert run(scene, "--compare", empty, *options) == (0, told)
+    assert run(empty, "--compare", scene, *options) == (0, told)
