@@ -193,8 +193,10 @@ def _seen_by(camera: Camera, points: Array) -> tuple[Mask, tuple[FloatArray, Flo
 def _in_patches(mask: Mask, nearness: Array) -> Mask:
     """What is left of a mask without small patches of one surface."""
     most = np.iinfo(np.int16).max
-    levels = (nearness / np.median(nearness) * LEVELS).clip(1, most).astype(np.int16)
-    levels[~mask] = 0
+    if not mask.any():
+        return mask
+    levels = nearness / np.median(nearness[mask]) * LEVELS
+    levels = np.where(mask, levels.clip(1, most), 0).astype(np.int16)
     cv2.filterSpeckles(levels, 0, FEWEST_PIXELS, SMOOTH * LEVELS)
     return levels > 0
 

@@ -27,6 +27,9 @@ PLANE_STEP, FEWEST_PLANES, MOST_PLANES = 1.0, 24, 128
 MARGIN, RIM = 0.3, 2.0  # a part, and a percentage
 # What it costs at most to leave the depths that are known already, and by which part of them.
 HOLD, HOLD_WIDTH = 0.05, 0.08
+# The best plane must cost so much less than planes do on average: along stripes, and on bare walls,
+# all look alike.
+LEAST_CONTRAST = 0.03
 # Then up to so many steps, of so many of the view's pixels, nearer and farther.
 STEPS, STEP = 4, 0.5
 # A view's points move less than so many pixels between the nearest and the farthest depth: then
@@ -59,7 +62,7 @@ class View:
 
 
 def find_nearness(view: View, others: Sequence[View]) -> Array | None:
-    """(H, W) inverse depths at which other views look most like a view.
+    """(H, W) inverse depths at which other views look most like a view; NaN where all look alike.
 
     Args:
         view: whose.
@@ -76,18 +79,27 @@ def find_nearness(view: View, others: Sequence[View]) -> Array | None:
     pixels = motion(view.camera, [other.camera for other in others], far, near)
     if not LEAST_MOTION <= pixels < np.inf:
         return None
-    rough = _swept(view, others, np.array([far, near]), pixels)
+    rough, told = _swept(view, others, np.array([far, near]), pixels)
     found = _stepped(view, others, rough, (near - far) / pixels * STEP)
-    return np.maximum(found, far / 2)  # small steps from far away would lead beyond infinity
+    found = np.maximum(found, far / 2)  # small steps from far away would lead beyond infinity
+    height, width = found.shape
+    tells = np.asarray(cv2.resize(told, (width, height), interpolation=cv2.INTER_NEAREST))
+    return np.where(tells > 0, found, np.nan)
 
 
-def _swept(view: View, others: Sequence[View], limits: Array, pixels: float) -> FloatArray:
-    """(h, w) inverse depths between two limits, by planes; `pixels` is what they move."""
+def _swept(
+    view: View, others: Sequence[View], limits: Array, pixels: float
+) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """(h, w) inverse depths between two limits, by planes, and whether costs tell any.
+
+    `pixels` is what points move between the limits.
+    """
     height, width = (round(SWEPT_SIZE * side) for side in view.nearness.shape)
     size = height, width
     count = int(np.clip(SWEPT_SIZE * pixels / PLANE_STEP, FEWEST_PLANES, MOST_PLANES))
     planes = np.linspace(limits[0], limits[1], count)
     costs = plane_costs(view.look(size), [other.look(size) for other in others], planes)
+    told = costs.mean(axis=0) - costs.min(axis=0) > LEAST_CONTRAST
     usual = float(np.median(view.nearness[view.nearness > 0]))
     so_far = np.where(view.nearness > 0, view.nearness, usual).astype(np.float32)
     so_far = np.asarray(cv2.resize(so_far, (width, height), interpolation=cv2.INTER_AREA))
@@ -95,7 +107,8 @@ def _swept(view: View, others: Sequence[View], limits: Array, pixels: float) -> 
         away = np.abs(np.log(np.float32(plane) / so_far)) / np.float32(HOLD_WIDTH)
         cost += np.float32(HOLD) * np.minimum(away, 1)
     labels = best_labels(costs, view.colours(size))
-    return np.interp(labels, np.arange(count), planes).astype(np.float32)
+    nearness = np.interp(labels, np.arange(count), planes).astype(np.float32)
+    return nearness, told.astype(np.uint8)
 
 
 def _stepped(view: View, others: Sequence[View], rough: FloatArray, step: float) -> Array:
