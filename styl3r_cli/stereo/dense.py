@@ -73,12 +73,12 @@ def dense(
     }
 
     def find(view: int) -> Array | None:
-        return find_nearness(views[view], [views[other] for other in _nearest(views, view)])
+        with np.errstate(all="ignore"):  # which counts for its own thread only
+            return find_nearness(views[view], [views[other] for other in _nearest(views, view)])
 
     if len(views) < 2:
         return scene
-    with np.errstate(all="ignore"):
-        results = in_threads(find, list(views), threads)
+    results = in_threads(find, list(views), threads)
     found = {view: each for view, each in zip(views, results, strict=True) if each is not None}
     points = {view: _points(nearness, views[view].camera) for view, nearness in found.items()}
     agreed = {view: _agreed(view, found, views, points) for view in found}
