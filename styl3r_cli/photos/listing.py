@@ -8,9 +8,8 @@ import os
 from styl3r_cli.errors import InputError
 from styl3r_cli.incoming import Kind
 
-NAMES = Kind(
-    "a list of photos", 64 << 20
-)  # bytes: the names of a million photos, of which 8 are used
+# Bytes: the names of a million photos, of which 8 are used.
+NAMES = Kind("a list of photos", 64 << 20)
 
 
 def parse_list(data: bytes, null: bool = False) -> list[str]:

@@ -54,8 +54,7 @@ def to_text(rows: Sequence[Row]) -> str:
         f"{'precision':12}{'size':>5}{'views':>6}{'kept':>7}{'drawn':>10}{'cores':>6}"
         f"{'colours':>8}"
         f"{'structure':>11}{'cameras':>9}{'appearance':>12}{'compact':>9}{'frame':>8}{'memory':>9}"
-        f"{'scene':>9}"
-        f"{'worst':>9}"
+        f"{'scene':>9}{'worst':>9}"
     ) + "".join(f"{heading:>{ERROR_WIDTH}}" for heading in known)
     lines = [head]
     for row in rows:
