@@ -88,8 +88,8 @@ def is_centre(coordinate: float, side: float) -> bool:
 def rigid(matrix: Any, where: str, key: str = "transform_matrix") -> NDArray[np.float64]:
     """A 4x4 (or 3x4) camera-to-world matrix with an exact rotation."""
     try:
-        rows = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
+        rows = np.array(matrix if _has_numbers(matrix) else (), dtype=np.float64)
+    except (ValueError, OverflowError):
         rows = np.empty(0)
     if rows.shape not in ((4, 4), (3, 4)) or not np.isfinite(rows).all():
         raise InputError(f"{where}: '{key}' is not a 4x4 matrix of numbers")
@@ -106,6 +106,15 @@ def rigid(matrix: Any, where: str, key: str = "transform_matrix") -> NDArray[np.
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = left @ right, rows[:3, 3]
     return pose
+
+
+def _has_numbers(matrix: Any) -> bool:
+    """Whether it is rows of JSON's numbers: numpy takes texts and truth values for some, too."""
+    return isinstance(matrix, list) and all(
+        isinstance(row, list)
+        and all(isinstance(each, int | float) and not isinstance(each, bool) for each in row)
+        for row in matrix
+    )
 
 
 def is_rotation(matrix: NDArray[np.float64], or_mirror: bool = False) -> bool:

@@ -145,7 +145,7 @@ def true_depths(
     file = read_cameras_of(photos, source)
     maps: dict[int, list[Array | None]] = {side: [None] * len(photos) for side in sides}
     known = False
-    for photo, frame in frames_of_photos(file, photos).items():
+    for photo, frame in frames_of_photos(file, photos, str(source)).items():
         if not file.depth_paths[frame]:
             continue
         path = source.parent / file.depth_paths[frame].replace("\\", "/")

@@ -159,6 +159,9 @@ MIRRORED = np.diag([-1.0, 1, 1, 1]).tolist()
         (file(frame([[1, 2], [3, 4]])), "not a 4x4 matrix"),
         (file(frame("identity")), "not a 4x4 matrix"),
         (file({"file_path": "a.jpg"}), "not a 4x4 matrix"),
+        (file(frame([["1.0", 0, 0, 0], *IDENTITY[1:]])), "not a 4x4 matrix of numbers"),
+        (file(frame([[True, 0, 0, 0], *IDENTITY[1:]])), "not a 4x4 matrix of numbers"),
+        (file(frame([*IDENTITY[:3], None])), "not a 4x4 matrix of numbers"),
         (file(frame([[float("nan")] * 4] * 4)), "not a 4x4 matrix"),
         (file(frame(np.ones((4, 4)).tolist())), "last row"),
         (file(frame(), fl_x="wide"), "'fl_x' is 'wide', not a number"),
@@ -203,6 +206,32 @@ def test_photos_find_their_cameras_by_name() -> None:
     assert notes == ["the camera file: no camera for 4.jpg"]
     with pytest.raises(InputError, match=r"no frame's file_path is one of the photos \(9\.jpg"):
         cameras_of_photos(known, [Path("9.jpg")])
+
+
+def test_frames_that_contradict_each_other_are_refused() -> None:
+    far = np.eye(4)
+    far[0, 3] = 1.0
+    photo = Path("images/a.jpg")
+    for other in (frame(fl_x=9e2), frame(far.tolist()), frame(depth_file_path="d.png")):
+        with pytest.raises(InputError, match=r"^t: frames 1 and 2 are both of images/a\.jpg, and"):
+            cameras_of_photos(read_transforms(file(frame(), other)), [photo], "t")
+    (found,), notes = cameras_of_photos(read_transforms(file(frame(), frame())), [photo])
+    assert (found, notes) == (photo, [])
+
+
+def test_photos_of_one_name_need_frames_of_their_own() -> None:
+    photos = [Path("left/1.jpg"), Path("right/1.jpg")]
+    one = read_transforms(file(frame(file_path="1.jpg")))
+    with pytest.raises(InputError, match=r"frame 1 may be of left/1\.jpg and of right/1\.jpg; "):
+        cameras_of_photos(one, photos)
+    assert len(cameras_of_photos(one, [photos[0], photos[0]])[0]) == 1
+    left = read_transforms(file(frame(file_path="left/1.jpg")))
+    found, notes = cameras_of_photos(left, photos)
+    assert list(found) == photos[:1]
+    assert notes == ["the camera file: no camera for right/1.jpg"]
+    paths = [str(photo.absolute()) for photo in reversed(photos)]
+    both = read_transforms(file(*(frame(file_path=path) for path in paths)))
+    assert [found.width for found in cameras_of_photos(both, photos)[0].values()] == [640, 640]
 
 
 @pytest.mark.parametrize("turned", [False, True])
