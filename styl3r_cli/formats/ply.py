@@ -18,6 +18,7 @@ from styl3r_cli.formats.values import (
     from_harmonics,
     in_float32,
     logit,
+    rounded,
     sigmoid,
     thickened,
     to_harmonics,
@@ -78,7 +79,8 @@ def decode(data: bytes, name: str) -> Scene:
 
         return decode_packed(data, name)
     _require_gaussians(table, name)
-    notes: list[str] = []
+    means = _columns(table, MEANS)
+    notes = rounded(means)
     if any(name.startswith("f_rest_") and table.column(name).any() for name in table.names):
         notes.append("view-dependent colours (f_rest) are ignored")
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped just below
@@ -86,7 +88,7 @@ def decode(data: bytes, name: str) -> Scene:
             np.exp(_columns(table, SCALES)), sigmoid(table.column("opacity")), table
         )
         gaussians = in_float32(
-            means=_columns(table, MEANS),
+            means=means,
             scales=scales,
             rotations=unit(_columns(table, ROTATIONS)),
             opacities=opacities,

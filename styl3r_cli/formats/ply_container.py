@@ -32,6 +32,7 @@ SCALARS = {
     "float64": "f8",
 }
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+VERSION = "1.0"  # there has been no other
 MAGIC = (b"ply\n", b"ply\r")
 END = b"end_header"
 MOST_ROWS = 1 << 60  # no file has more; numbers of thousands of digits make long messages
@@ -81,6 +82,8 @@ def read_element(data: bytes, name: str, wanted: str = "vertex") -> Table:
     lines, body = _split(data, name)
     order, elements, comments = _parse_header(lines, name)
     before: list[Element] = []
+    if sum(element.name == wanted for element in elements) > 1:
+        raise InputError(f"{name}: the PLY has several '{wanted}' elements; which one is meant?")
     for element in elements:
         if element.name == wanted:
             break
@@ -136,8 +139,11 @@ def _parse_header(lines: list[str], name: str) -> tuple[str, list[Element], list
             match words:
                 case ["comment" | "obj_info", *_]:
                     comments.append(line.lstrip().split(" ", 1)[1] if " " in line.strip() else "")
-                case ["format", encoding, _]:
+                case ["format", encoding, version] if order is None:
                     order = BYTE_ORDERS[encoding]
+                    if version != VERSION:
+                        what = f"PLY of version {version[:LONGEST_QUOTE]}"
+                        raise InputError(f"{name}: {what}; only {VERSION} can be read")
                 case ["element", element, count]:
                     elements.append(Element(element, int(count)))
                     if not 0 <= int(count) <= MOST_ROWS:

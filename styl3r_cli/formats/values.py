@@ -24,6 +24,9 @@ COLOUR_LIMIT = 1e37  # so that division by SH_C0 stays in float32
 BELIEVED = 1 << 20
 UNIT_ERROR = 2.0**-22  # of a quaternion's length, after four parts were rounded to float32
 CLIPPING_SEEN = 0.5 / 255  # of a colour: less is rounding
+# A scene's extent is that of all but a few of its Gaussians: some are often far out.
+LOW, HIGH = 0.02, 0.98
+ROUNDING_SEEN = 1e-3  # of the extent: a pixel of a frame of a thousand
 ATTRIBUTES = ("means", "scales", "rotations", "opacities", "colours")
 
 
@@ -55,6 +58,25 @@ def in_float32(
     with np.errstate(over="ignore", invalid="ignore"):
         arrays = (means, scales, rotations, opacities, colours)
         return Gaussians(*(array.astype(np.float32) for array in arrays))
+
+
+def rounded(means: NDArray[np.floating]) -> list[str]:
+    """A note on (G, 3) means, as read, that float32 moves far: maps in metres have such ones."""
+    if means.dtype == np.float32 or not len(means):
+        return []
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = np.abs(means - means.astype(np.float32)).max(axis=1)
+    finite = np.isfinite(moved)
+    if not moved[finite].any():
+        return []
+    low, high = np.quantile(means[finite], (LOW, HIGH), axis=0)
+    extent, most = float((high - low).max()), float(moved[finite].max())
+    if most <= ROUNDING_SEEN * extent or not extent:
+        return []
+    return [
+        f"means are rounded to single precision, by up to {most:.2g} in a scene {extent:.2g} wide; "
+        "move it nearer to its origin first"
+    ]
 
 
 def check_count(count: int, size: int, name: str) -> None:

@@ -157,6 +157,23 @@ def test_mip_splattings_filter_is_part_of_the_gaussians(scene: Gaussians) -> Non
     np.testing.assert_allclose(back.opacities, fainter, rtol=1e-4, atol=1e-7)
 
 
+def test_means_that_single_precision_moves_far_are_noted(scene: Gaussians) -> None:
+    """As of a map in metres; at the origin the same scene is read without a word."""
+    written = independent(encode_scene(scene).data)["vertex"].data
+    rows = written.astype([(name, "f8") for name in written.dtype.names])
+    rows["x"] += 0.3  # no number of single precision
+
+    def notes(distance: float) -> list[str]:
+        rows["y"] = written["y"].astype(np.float64) + distance
+        stream = io.BytesIO()
+        plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")]).write(stream)
+        return read_scene(stream.getvalue()).notes
+
+    assert notes(0) == []
+    (note,) = notes(5e6)
+    assert note.startswith("means are rounded to single precision, by up to 0.2")
+
+
 def test_windows_line_ends(scene: Gaussians) -> None:
     data = encode_scene(scene, {"key": "value"}).data
     end = data.index(b"end_header\n") + len(b"end_header\n")
@@ -211,6 +228,9 @@ FLAT = [name for name in LAYOUT.split() if name != "scale_2"]
         (header(LITTLE), "no 'vertex' element"),
         (header(LITTLE, "element face 0", "property list uchar int i"), "no 'vertex' element"),
         (header("element vertex 0", "property float x"), "does not say its format"),
+        (header("format ascii 2.0", *ONE_COLUMN), r"PLY of version 2\.0; only 1\.0 can be read"),
+        (header(LITTLE, "format ascii 1.0", *ONE_COLUMN), "bad line.*'format ascii 1.0'"),
+        (header(LITTLE, *ONE_COLUMN * 2), "the PLY has several 'vertex' elements"),
         (
             header(LITTLE, "element vertex many"),
             "bad line in the PLY header: 'element vertex many'",
