@@ -52,6 +52,11 @@ def command(
         with console.stage("sizes", len(MODULES)) as done:
             report["sizes"] = sizes_by_format(file.scene, done)
     if as_json:
-        print_report(report)
+        print_report(report | {"metadata": _as_text(report["metadata"])})
     else:
         click.echo(table(report))
+
+
+def _as_text(metadata: dict[str, str]) -> dict[str, str]:
+    """A file's own text with "?" for half characters, which strict readers of JSON refuse."""
+    return {key: value.encode("utf-8", "replace").decode() for key, value in metadata.items()}

@@ -88,7 +88,8 @@ def rounded(timings: dict[str, float]) -> dict[str, float]:
 
 def print_report(report: dict[str, Any]) -> None:
     """One JSON object, then a line end."""
-    click.echo(json.dumps(_valid(report), indent=2, allow_nan=False))
+    # A name's bytes that are no text are escaped as Python has them, so that it can be found again.
+    click.echo(json.dumps(report, indent=2, allow_nan=False))
 
 
 def _views(inputs: Inputs, recovered: Recovered) -> list[dict[str, Any]]:
@@ -114,12 +115,3 @@ def _views(inputs: Inputs, recovered: Recovered) -> list[dict[str, Any]]:
             }
         )
     return views
-
-
-def _valid(value: Any) -> Any:
-    """The same with "?" for a name's bytes that are no Unicode: strict readers refuse them."""
-    if isinstance(value, str):
-        return value.encode("utf-8", "replace").decode()
-    if isinstance(value, dict):
-        return {key: _valid(each) for key, each in value.items()}
-    return [_valid(each) for each in value] if isinstance(value, list) else value

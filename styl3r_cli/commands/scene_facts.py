@@ -33,7 +33,7 @@ def facts(name: str, file: SceneFile) -> dict[str, Any]:
     cameras = cameras_from_metadata(scene.metadata)
     stored = {KEY.format(index) for index in range(len(cameras))}
     return {
-        "path": name.encode("utf-8", "replace").decode(),
+        "path": name,
         "format": file.suffix,
         "bytes": file.size,
         "gaussians": len(scene.gaussians),

@@ -89,8 +89,7 @@ def test_names_with_spaces_line_breaks_and_bytes_that_are_no_text(
     named = [part for option, name in outputs.items() for part in (option, folder / name)]
     code, out, err = run("stylize", folder, "-s", style, *named, "--json", "--fov", "50")
     assert (code, err.count("\n")) == (0, err.count("styl3r: "))  # notes are a line each
-    assert rb"\ud" not in out  # half a character, which strict readers of JSON refuse
-    assert json.loads(out)["styles"][0]["path"].endswith("?.png")
+    assert json.loads(out)["styles"][0]["path"] == str(style)
     written = read_transforms(folder / "c.json")
     assert [os.fsencode(name) for name in written.file_paths] == [
         os.fsencode(photo.name) for photo in odd
@@ -108,7 +107,7 @@ def test_scenes_of_such_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert main.run(["convert", str(scene), str(other)]) == 0
     assert main.run(["info", str(other), "--no-sizes", "--json"]) == 0
     out, _ = capsys.readouterr()
-    assert json.loads(out)["path"] == os.fsencode(other).replace(b"\xff", b"?").decode()
+    assert json.loads(out)["path"] == str(other)  # the very name, for whoever opens it
     assert main.run(["info", str(other), "--no-sizes"]) == 0
     assert main.run(["info", f"{other}.gone.spz"]) == 3
     out, err = capsys.readouterr()
