@@ -13,7 +13,7 @@ from typing import NoReturn
 
 import click
 
-from styl3r_cli import __version__, console, endings, limits, memory, needs
+from styl3r_cli import __version__, console, endings, environment, limits, memory, needs
 from styl3r_cli.errors import BROKEN_PIPE, MEANINGS, ExitCode, Styl3rError
 from styl3r_cli.files import ClosedOutput, keep_stdout_for_results
 
@@ -110,6 +110,7 @@ class LazyGroup(click.Group):
         """As click does, but Ctrl-C prints no empty line, and a closed pipe has its own code."""
         limits.check(needs.at_all())
         limits.check_threads()
+        environment.check()
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:

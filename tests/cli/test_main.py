@@ -156,6 +156,19 @@ def test_bugs_are_called_bugs(
         failing(ZeroDivisionError())
 
 
+@pytest.mark.parametrize("value", ["abc", "", "-1", "1.5", "9" * 30])
+@pytest.mark.parametrize("name", ["SOURCE_DATE_EPOCH", "OPENCV_FOR_THREADS_NUM"])
+def test_variables_that_libraries_could_not_read_are_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    assert main.run(["info", "scene.ply"]) == ExitCode.USAGE
+    message = f"{name}={value}: not a whole number; set it to one, or unset it"
+    assert capsys.readouterr().err == f"styl3r: error: {message}\n"
+    monkeypatch.setenv(name, "1")
+    assert main.run(["info", "gone.ply"]) == ExitCode.INPUT
+
+
 def test_interruptions_are_quiet(
     failing: Callable[[BaseException], int], capsys: pytest.CaptureFixture[str]
 ) -> None:
