@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from styl3r_cli.commands.bench import ListOf
-from styl3r_cli.commands.options import FILE, Number, UserPath, quiet_option
+from styl3r_cli.commands.options import FILE, STDOUT, Number, UserPath, quiet_option
+from styl3r_cli.errors import UsageError
 from styl3r_cli.tradeoff.points import COLOURS, DRAWINGS
 
 PRECISIONS = ("w8", "w4", "int8", "int8-static", "mixed")
@@ -137,4 +138,6 @@ def command(**options: Any) -> None:
     """Measure what speed costs in accuracy on this machine, with these photos."""
     from styl3r_cli.tradeoff.report import Request, run
 
+    if STDOUT in (*options["photos"], *options["holdout"]):
+        raise UsageError(f"{STDOUT}: a trade-off takes no list of photos; name files or folders")
     run(Request(**options))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import subprocess
 import sys
@@ -169,6 +170,8 @@ def test_a_report_is_whole_and_needs_nothing_else(
         (("--style", "none.png"), "no such style picture", 3),
         (("--precisions", "int7"), "int7", 2),
         (("--fov", "nan"), "--fov nan", 2),
+        (("-",), "error: -: a trade-off takes no list of photos", 2),
+        (("--holdout", "-"), "error: -: a trade-off takes no list of photos", 2),
     ],
 )
 def test_what_cannot_be_measured_is_refused(
@@ -182,6 +185,16 @@ def test_what_cannot_be_measured_is_refused(
     code, _, err = measure(*photos, "-o", tmp_path / "r", *given)
     assert (code, told in err) == (expected, True), err
     assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX pipes")
+def test_what_comes_through_a_pipe_is_not_awaited(
+    measure: Run, photos: list[Path], tmp_path: Path
+) -> None:
+    """Every measurement reads the cameras anew, which a pipe has only once."""
+    os.mkfifo(tmp_path / "cameras.json")
+    code, _, err = measure(*photos, "-o", tmp_path / "r", "--cameras", tmp_path / "cameras.json")
+    assert (code, "cameras.json: a pipe; a trade-off reads files" in err) == (3, True)
 
 
 @pytest.mark.slow
