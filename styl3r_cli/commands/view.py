@@ -65,7 +65,7 @@ def command(
     """Show a scene in the browser."""
     if find_spec("viser") is None:
         raise UsageError("view needs viser; install it with: pip install 'styl3r[view]'")
-    from styl3r_cli.cameras.stored import cameras_from_metadata
+    from styl3r_cli.cameras.stored import cameras_from_metadata, damage
     from styl3r_cli.commands.checks import check_printable
     from styl3r_cli.commands.scene_file import check_two, load
     from styl3r_cli.console import Console
@@ -81,7 +81,7 @@ def command(
     for note in dict.fromkeys(note for scene in scenes for note in scene.notes):
         console.note(note)
     cameras = next(filter(None, (cameras_from_metadata(each.metadata) for each in scenes)), [])
-    if not cameras:
+    if not cameras and not any(damage(each.metadata) for each in scenes):  # which is noted
         console.note("no cameras came with the scene; the page starts at a view of all of it")
     if not address.private:
         console.note(f"--host {host}: whoever can reach this machine can open the page")

@@ -113,6 +113,27 @@ def test_what_the_page_gets(gaussians: Gaussians, cameras: list[Camera]) -> None
     assert [shown[name] for name in nodes] == [True, False, False, False]
 
 
+@pytest.mark.parametrize("damaged", [True, False])
+def test_it_is_said_once_why_there_are_no_cameras(
+    gaussians: Gaussians,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    damaged: bool,
+) -> None:
+    pytest.importorskip("viser")
+
+    def interrupted(*given: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("styl3r_cli.viewer.server.serving", interrupted)
+    write_scene(tmp_path / "a.ply", gaussians, {"camera.0": "1 2 3"} if damaged else {})
+    assert main.run(["view", str(tmp_path / "a.ply"), "--no-open"]) == ExitCode.INTERRUPTED
+    [note] = capsys.readouterr().err.splitlines()
+    words = "cameras are damaged and ignored" if damaged else "no cameras came with the scene"
+    assert words in note
+
+
 def test_without_the_extra_it_says_what_to_install(
     scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
