@@ -78,8 +78,9 @@ def test_a_reader_that_leaves_ends_the_run_quietly(scene: Path, tmp_path: Path) 
 def test_ctrl_c_while_a_video_is_written_leaves_no_part_of_it(
     scene: Path, tmp_path: Path, target: str
 ) -> None:
+    # Frames so large that a minute would not be enough for all: the signal comes before the last.
     command = [sys.executable, "-m", "styl3r_cli", "render", str(scene), "--frames", "5000"]
-    command += ["--size", "64x48", "-o", target]
+    command += ["--size", "640x480", "-o", target]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, cwd=tmp_path) as process:
         deadline = time.monotonic() + 60
