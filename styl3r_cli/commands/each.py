@@ -47,8 +47,10 @@ def check_each(request: SceneRequest) -> None:
 
     Raises:
         UsageError: an output has no place for the style's name, or the cameras' file has one; a
-            style has a weight.
+            style has a weight. Without `--each`: an output has such a place.
     """
+    if not request.each:
+        return _check_alone(request)
     for style in request.styles:
         if style.weight != 1:
             raise UsageError(f"--style {style.path}: weights are for a blend; --each makes none")
@@ -65,6 +67,12 @@ def check_each(request: SceneRequest) -> None:
     ):
         if path is not None and PLACE not in path.name:
             raise UsageError(f"{option} {path}: with --each the file's name needs {PLACE} in it")
+
+
+def _check_alone(request: SceneRequest) -> None:
+    for path in outputs_of(request):
+        if PLACE in path.name and request.styles:
+            raise UsageError(f"{path}: {PLACE} is for --each, one scene a style; add that option")
 
 
 def _names(styles: tuple[WeightedStyle, ...]) -> list[str]:

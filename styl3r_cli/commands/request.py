@@ -221,8 +221,7 @@ def _check(request: SceneRequest, photos: list[Path]) -> None:
     if request.cameras is not None:
         read.append(request.cameras)
     read.append(user_path(request.model) / MANIFEST)
-    if request.each:
-        check_each(request)
+    check_each(request)
     makes = [path.parent for path in outputs_of(request)] if request.each else []
     outputs = [path for one in one_by_one(request) for path in outputs_of(one)]
     if request.each and request.cameras_out:  # one file for all of them

@@ -100,6 +100,19 @@ def test_outputs_without_a_place_for_the_style_are_refused(
     assert sorted(tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize("option", ["-o", "--video", "--preview", "--cameras-out"])
+def test_a_place_for_the_style_without_each_is_refused(
+    run: Run, photos: list[Path], styles: list[Path], tmp_path: Path, option: str
+) -> None:
+    suffix = {"--video": ".mp4", "--preview": ".png", "--cameras-out": ".json"}.get(option, ".ply")
+    outputs = {"-o": tmp_path / "scene.ply", option: tmp_path / f"{{style}}{suffix}"}
+    words = [word for pair in outputs.items() for word in pair]
+    code, _, err = run("stylize", *photos, *options(styles), *words)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"{{style}}{suffix}: {{style}} is for --each" in err
+    assert not (tmp_path / f"{{style}}{suffix}").exists()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere they are one file")
 def test_names_that_some_file_systems_take_for_one_do_not_replace_each_other(
     run: Run, photos: list[Path], make_picture: Callable[..., Path], tmp_path: Path
