@@ -33,7 +33,26 @@ Look = Callable[[Camera, float], Picture]
 SCALE_FRAMES, SCALE_SIDE = 12, 128
 # The line between two scenes in a wipe: this share of the picture's width, white.
 WIPE_LINE = 0.004
+LEAST_ALPHA = 0.5 / 255  # fainter is not there in 8 bits
 JPEG_QUALITY = 95  # no artefact to be seen, at a third of a PNG
+
+
+@dataclass
+class Tally:
+    """What was drawn of a scene.
+
+    Attributes:
+        frames: how many.
+        empty: how many of them show nothing of it.
+    """
+
+    frames: int = 0
+    empty: int = 0
+
+    def add(self, alpha: FloatArray) -> None:
+        """Count a frame (H, W)."""
+        self.frames += 1
+        self.empty += not (alpha >= LEAST_ALPHA).any()
 
 
 @dataclass(frozen=True)
@@ -45,11 +64,13 @@ class Drawing:
             leaves it transparent.
         threads: None for every core.
         antialias: whether Gaussians smaller than a pixel are as faint as they are.
+        tally: counts the frames, if there is one.
     """
 
     background: Background | None = SURROUNDINGS
     threads: int | None = None
     antialias: bool = False
+    tally: Tally | None = None
 
     def frame(self, gaussians: Gaussians, camera: Camera) -> Frame:
         """What the renderer makes of it; the surroundings are in its colours, not in its alpha."""
@@ -58,6 +79,8 @@ class Drawing:
         filled = self.background == SURROUNDINGS
         colour = None if self.background == SURROUNDINGS else self.background
         frame = render(gaussians, camera, colour, threads=self.threads, antialias=self.antialias)
+        if self.tally is not None:
+            self.tally.add(frame.alpha)
         return replace(frame, colour=fill_holes(frame.colour, frame.alpha)) if filled else frame
 
 
@@ -89,7 +112,8 @@ def depths(
     """The scene's depth in colours, on one scale for all cameras of the path."""
     drawing = replace(drawing, background=None)
     sampled = [cameras[i] for i in np.linspace(0, len(cameras) - 1, SCALE_FRAMES).astype(int)]
-    frames = [drawing.frame(gaussians, reduced(camera, SCALE_SIDE)) for camera in sampled]
+    uncounted = replace(drawing, tally=None)
+    frames = [uncounted.frame(gaussians, reduced(camera, SCALE_SIDE)) for camera in sampled]
     solid = [frame.alpha > SOLID for frame in frames]
     scale = DepthScale.of([frame.depth for frame in frames], solid)
 

@@ -24,6 +24,7 @@ from styl3r_cli.formats import Scene
 from styl3r_cli.frames import (
     Drawing,
     Look,
+    Tally,
     coarse,
     colours,
     depths,
@@ -66,12 +67,20 @@ def film(request: RenderRequest, quiet: bool) -> None:
         from styl3r_cli.cameras.camera_path import write_camera_path
 
         write_camera_path(request.save_path, shots.cameras, shots.fps, shots.loop)
+    # Of a scene without Gaussians it was said before.
+    shown = [each for each in (scene, other) if each is not None]
+    tallies = [Tally() if len(each.gaussians) else None for each in shown]
+    drawings = [replace(drawing, tally=tally) for tally in tallies]
     with console.stage("render", len(shots.cameras)) as drawn:
         if request.kind == LINEAR:
-            _write_linear(request, scene, shots, drawing, drawn)
+            _write_linear(request, scene, shots, drawings[0], drawn)
         else:
-            look = _look(request, scene.gaussians, other, shots, drawing)
+            look = _look(request, [each.gaussians for each in shown], shots, drawings)
             _write(request, look, shots, drawn)
+    for source, tally in zip((request.scene, str(request.compare)), tallies, strict=False):
+        if tally is not None and tally.empty:
+            share = f"{tally.empty} of {tally.frames} frames"
+            console.note(f"{source}: nothing of it is to be seen in {share}")
     if request.kind == "rgb":
         pixels = "rgb24" if drawing.background is not None else "rgba"
         width = first.width * request.beside
@@ -89,27 +98,25 @@ def _read(source: str, console: Console) -> Scene:
 
 
 def _look(
-    request: RenderRequest,
-    gaussians: Gaussians,
-    other: Scene | None,
-    shots: Shots,
-    drawing: Drawing,
+    request: RenderRequest, scenes: list[Gaussians], shots: Shots, drawings: list[Drawing]
 ) -> Look:
-    """What a picture shows: colour or depth, of one scene or of two."""
+    """What a picture shows: colour or depth, of one scene or of two, each drawn in its way."""
     share = SHARES[request.quality]
 
-    def of(scene: Gaussians) -> Look:
+    def of(scene: Gaussians, drawing: Drawing) -> Look:
         if request.show == "depth":
             return coarse(depths(scene, drawing, shots.cameras, request.colour_map), share)
         return coarse(colours(scene, drawing), share)
 
-    if other is not None:
+    looks = [of(*pair) for pair in zip(scenes, drawings, strict=True)]
+    if len(looks) == 2:
         combine = {"side": side_by_side, "wipe": wipe}[request.layout]
-        return combine(of(other.gaussians), of(gaussians))
+        return combine(looks[1], looks[0])
     if request.show == "both":
-        depth = coarse(depths(gaussians, drawing, shots.cameras, request.colour_map), share)
-        return side_by_side(colours(gaussians, drawing), depth)
-    return of(gaussians)
+        uncounted = replace(drawings[0], tally=None)
+        depth = coarse(depths(scenes[0], uncounted, shots.cameras, request.colour_map), share)
+        return side_by_side(colours(scenes[0], drawings[0]), depth)
+    return looks[0]
 
 
 def _write(request: RenderRequest, look: Look, shots: Shots, drawn: Callable[[], None]) -> None:

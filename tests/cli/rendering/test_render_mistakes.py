@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ from two_cameras import CAMERAS, Run, camera_at
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.framing import cropped, uncropped
 from styl3r_cli.cameras.stored import cameras_from_metadata, cameras_to_metadata
+from styl3r_cli.cameras.transforms import write_transforms
 from styl3r_cli.commands.render_request import parse_colour
 from styl3r_cli.errors import UsageError
-from styl3r_cli.formats import write_scene
+from styl3r_cli.formats import read_scene, write_scene
 from styl3r_cli.gaussians import Gaussians
 from styl3r_cli.photos.resize import fit_intrinsics
 
@@ -207,3 +209,29 @@ def test_a_scene_to_compare_with_without_gaussians_is_told(
     told = f"styl3r: {empty}: no Gaussians in it: nothing is to be seen\n"
     assert run(scene, "--compare", empty, *options) == (0, told)
     assert run(empty, "--compare", scene, *options) == (0, told)
+
+
+@pytest.mark.parametrize("name", ["x.png", "x.exr"])
+def test_frames_without_anything_of_the_scene_are_told(
+    run: Run, scene: Path, tmp_path: Path, name: str
+) -> None:
+    cameras = tmp_path / "away.json"
+    ahead = cameras_from_metadata(read_scene(scene).metadata)[0]
+    turn = np.diag([-1.0, 1, -1, 1])
+    back = replace(ahead, extrinsics=turn @ ahead.extrinsics)
+    write_transforms(cameras, [ahead, back], ["a", "b"])
+    output = tmp_path / f"%d{name}"
+    told = f"styl3r: {scene}: nothing of it is to be seen in 1 of 2 frames\n"
+    assert run(scene, "--cameras", cameras, "-o", output, "--size", 16) == (0, told)
+
+
+@pytest.mark.parametrize("options", [(), ("--show", "depth"), ("--show", "both")])
+def test_gaussians_without_any_extent_are_told(
+    run: Run, scene: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    flat = tmp_path / "flat.ply"
+    gaussians = read_scene(scene).gaussians
+    write_scene(flat, replace(gaussians, scales=np.zeros_like(gaussians.scales)))
+    given = ("-o", tmp_path / "x.png", "--frames", 1, "--size", 16, "--antialias", *options)
+    told = f"styl3r: {flat}: nothing of it is to be seen in 1 of 1 frames\n"
+    assert run(flat, *given) == (0, told)
