@@ -58,6 +58,7 @@ class Overlaps:
         own: (N, H, W) in [0, 1], how much of a pixel no view that is earlier in order shows.
         kept: (N, H, W), whether the pixel's Gaussian is needed: not if it repeats another view's,
             nor if other views see through it.
+        visible: (N,), whether any Gaussian of the view is to be seen.
 
     Example:
         >>> overlaps = Overlaps(scene, recovered)
@@ -95,6 +96,7 @@ class Overlaps:
         for view in self.order:
             around = cv2.blur(self.own[view], (BAND, BAND))
             self.kept[view] &= (around > OWN_SHARE) | ~self._stood_for(view)
+        self.visible = np.any(scene.opacities > 0, axis=(1, 2))
 
     def _stood_for(self, view: int) -> NDArray[np.bool_]:
         """(H, W), whether what a view repeats is kept there: it may be left out itself."""
@@ -125,6 +127,25 @@ class Overlaps:
             painted[each.view] += taken[..., None] * change
             left[each.view] -= taken
         return painted
+
+    def taken_over(self, pictures: FloatArray, view: int) -> tuple[FloatArray, FloatArray]:
+        """What earlier views show of a view's surfaces.
+
+        Args:
+            pictures: (N, H, W, 3).
+            view: index of the view.
+
+        Returns:
+            (H, W, 3), times (H, W) how much of each pixel it is.
+        """
+        target = np.zeros(pictures.shape[1:], np.float32)
+        left = np.ones(pictures.shape[1:3], np.float32)
+        for each in self.overlaps:  # the earliest painter first
+            if each.view == view:
+                taken = left * each.share
+                target += taken[..., None] * sample(pictures[each.painter], each.x, each.y)
+                left -= taken
+        return target, 1 - left
 
     def opacities(self, opacities: FloatArray) -> FloatArray:
         """Of the Gaussians that are kept: with what the repeats that lay on them covered besides.

@@ -87,3 +87,23 @@ def to_quaternion(m: Array) -> Array:
     k[1:, 0] = k[0, 1:]
     k[1:, 1:] = m + m.T - m.trace() * np.eye(3)
     return np.linalg.eigh(k)[1][:, -1]
+
+
+def to_quaternions(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(G, 4) unit quaternions w x y z of (G, 3, 3) rotation matrices.
+
+    The four candidates of Shepperd (1978) are the columns of one symmetric matrix, 4 q q^T; the
+    longest of them is the most precise.
+    """
+    m = matrices
+    trace = np.trace(m, axis1=1, axis2=2)
+    squares = np.empty((len(m), 4, 4))
+    squares[:, 0, 0] = 1 + trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        squares[:, i + 1, i + 1] = 1 - trace + 2 * m[:, i, i]
+        squares[:, 0, i + 1] = squares[:, i + 1, 0] = m[:, k, j] - m[:, j, k]
+        squares[:, j + 1, k + 1] = squares[:, k + 1, j + 1] = m[:, j, k] + m[:, k, j]
+    best = np.einsum("gii->gi", squares).argmax(axis=1)
+    columns = squares[np.arange(len(m)), best]
+    return columns / np.linalg.norm(columns, axis=1, keepdims=True)

@@ -259,13 +259,18 @@ def test_what_is_painted_on_the_scene_is_more_consistent_than_frames() -> None:
     group = plane_group(128)
     prediction, own = perfect_prediction(group, WORLD)
     stylized = own.with_colours((1 - own.colours) ** 2)  # another colour, but one for each place
+    photos = tuple(group.views[k].pixels / np.float32(255) for k in (0, len(group.inputs) - 1))
     values = consistency_values(
-        own, stylized, prediction.recovered.cameras, painting(7), teachers(), 1
+        own, stylized, prediction.recovered.cameras, painting(7), teachers(), 1, photos
     )
     for measure in ("short RMSE", "short LPIPS", "long RMSE", "long LPIPS"):
         model, frames = (np.mean(values["consistency", measure, m]) for m in ("model", "MicroAST"))
         assert model < 0.6 * frames
     assert np.mean(values["consistency", "short RMSE", "own colours"]) < 0.02
+    # A perfect scene is charged with what the world itself is.
+    world, model = (values["consistency", "long RMSE", m] for m in ("the photos", "own colours"))
+    assert len(world) == 1
+    assert world == pytest.approx(model, rel=0.25)
 
 
 def test_camera_paths_pass_through_the_inputs() -> None:

@@ -12,7 +12,6 @@ from styl3r_cli.cameras import poses
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.frames import Drawing
 from styl3r_cli.gaussians import Gaussians
-from styl3r_cli.splatting import Frame
 from styl3r_export.evaluate.records import MODEL, Values
 from styl3r_export.evaluate.style import Painting
 from styl3r_export.evaluate.teachers import Teachers
@@ -26,6 +25,7 @@ PAIRS = {"short": ((0, 1), (3, 4), (6, 7)), "long": ((0, 7),)}
 LEAST_COVER = 0.5
 LEAST_CONTRAST = 1 / 255  # below it a frame is one colour
 OWN = "own colours"
+PHOTOS = "the photos"  # of the two frames that are an input's each, the last pair of PAIRS
 
 Picture = NDArray[np.floating]
 
@@ -52,12 +52,15 @@ def consistency_values(
     painting: Painting,
     teachers: Teachers,
     threads: int,
+    photos: tuple[Picture, Picture] | None = None,
 ) -> Values:
     """How much a frame differs from an earlier one that optical flow moved to its place.
 
     One camera path through the recovered input cameras, one flow (of the frames in the scene's own
     colours), the same pixels for everybody. `own colours` is what remains where nothing was
     stylized: errors of the flow, and of resampling. 2D stylizers paint the same frames one by one.
+    `the photos` are the world itself, from the first input to the last: what even it is charged
+    with, as its flow is wrong where much is hidden.
 
     Args:
         own: the Gaussians in the scene's own colours.
@@ -66,6 +69,7 @@ def consistency_values(
         painting: the style.
         teachers: measures and 2D stylizers.
         threads: for the renderer.
+        photos: the first and the last input, of the frames' size.
     """
     needed = sorted({index for pairs in PAIRS.values() for pair in pairs for index in pair})
     path, drawing = camera_path(cameras, FRAMES), Drawing(threads=threads)
@@ -80,7 +84,8 @@ def consistency_values(
     values: Values = {}
     for reach, pairs in PAIRS.items():
         for a, b in pairs:
-            motion = find_motion(frames[a], frames[b], teachers)
+            alphas = (frames[a].alpha, frames[b].alpha)
+            motion = find_motion(frames[a].colour, frames[b].colour, teachers, alphas)
             key = ("consistency", f"{reach} share of pixels compared", MODEL)
             values.setdefault(key, []).append(float(motion.valid.mean()))
             if motion.valid.any():
@@ -89,6 +94,10 @@ def consistency_values(
                     for name, value in measures.items():
                         key = ("consistency", f"{reach} {name}", method)
                         values.setdefault(key, []).append(value)
+    if photos is not None:
+        motion = find_motion(*photos, teachers)
+        for name, value in disagreement(*photos, motion, teachers).items():
+            values["consistency", f"long {name}", PHOTOS] = [value]
     return values
 
 
@@ -103,12 +112,22 @@ def camera_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
     return path
 
 
-def find_motion(a: Frame, b: Frame, teachers: Teachers) -> Motion:
-    """Optical flow between two frames in their own colours, and where it says something."""
-    flow = teachers.flow(a.colour, b.colour)
-    importance = brightness_importance(a.colour.clip(0, 1), b.colour.clip(0, 1), flow)
-    moved, cover = splat(a.alpha[..., None], flow, importance)
-    valid = (cover >= LEAST_COVER) & (moved[..., 0] >= LEAST_COVER) & (b.alpha >= LEAST_COVER)
+def find_motion(
+    a: Picture, b: Picture, teachers: Teachers, alphas: tuple[Picture, Picture] | None = None
+) -> Motion:
+    """Optical flow between two pictures in their own colours, and where it says something.
+
+    Args:
+        a: (H, W, 3), the earlier one.
+        b: (H, W, 3), the later one.
+        teachers: their flow.
+        alphas: (H, W) each, what is covered; None for all.
+    """
+    before, after = np.ones((2, *a.shape[:2]), np.float32) if alphas is None else alphas
+    flow = teachers.flow(a, b)
+    importance = brightness_importance(a.clip(0, 1), b.clip(0, 1), flow)
+    moved, cover = splat(before[..., None], flow, importance)
+    valid = (cover >= LEAST_COVER) & (moved[..., 0] >= LEAST_COVER) & (after >= LEAST_COVER)
     return Motion(flow, importance, valid)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+import numpy as np
 import torch
 
 from styl3r_cli.gaussians import Gaussians
@@ -78,7 +79,7 @@ class Evaluator:
             if "style" in self.rows:
                 values |= self._style(group, prediction, stylized, painting)
             if moves:
-                values |= self._consistency(prediction, own, stylized, painting)
+                values |= self._consistency(group, prediction, own, stylized, painting)
         return values
 
     def paintings(self, scene: str, groups: int) -> list[Painting | None]:
@@ -107,11 +108,18 @@ class Evaluator:
         return style_values(group, stylized, cameras, painting, self.teachers, threads)
 
     def _consistency(
-        self, prediction: Prediction, own: Gaussians, stylized: Gaussians, painting: Painting
+        self,
+        group: Group,
+        prediction: Prediction,
+        own: Gaussians,
+        stylized: Gaussians,
+        painting: Painting,
     ) -> Values:
         assert self.teachers is not None
         cameras, threads = prediction.recovered.cameras, self.settings.threads
-        return consistency_values(own, stylized, cameras, painting, self.teachers, threads)
+        first, last = (group.views[k].pixels / np.float32(255) for k in (0, len(group.inputs) - 1))
+        how = (cameras, painting, self.teachers, threads, (first, last))
+        return consistency_values(own, stylized, *how)
 
     def case(self, case: Case) -> Iterator[Record]:
         """The numbers of each group of a scene."""
