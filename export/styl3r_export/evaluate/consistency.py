@@ -17,15 +17,20 @@ from styl3r_export.evaluate.style import Painting
 from styl3r_export.evaluate.teachers import Teachers
 from styl3r_export.evaluate.warping import brightness_importance, splat
 
-FRAMES = 8  # from the first input's camera to the last's, so that these two are 7 apart
-# Frames compared: neighbours at both ends and in the middle, and the two that are 7 apart.
-PAIRS = {"short": ((0, 1), (3, 4), (6, 7)), "long": ((0, 7),)}
+FRAMES = 60  # from the first input's camera to the last's, as the published code films a scene
+# Frames compared, at both ends and in the middle: neighbours, and those that are 7 apart as in the
+# paper; besides, the first with the last.
+PAIRS = {
+    "short": ((0, 1), (29, 30), (58, 59)),
+    "long": ((0, 7), (26, 33), (52, 59)),
+    "whole": ((0, 59),),
+}
 # A pixel is compared if this much of it is covered, by Gaussians and by moved pixels: black holes
 # agree with each other only too well.
 LEAST_COVER = 0.5
 LEAST_CONTRAST = 1 / 255  # below it a frame is one colour
 OWN = "own colours"
-PHOTOS = "the photos"  # of the two frames that are an input's each, the last pair of PAIRS
+PHOTOS = "the photos"  # first and last input, beside the frames from their cameras
 
 Picture = NDArray[np.floating]
 
@@ -97,7 +102,7 @@ def consistency_values(
     if photos is not None:
         motion = find_motion(*photos, teachers)
         for name, value in disagreement(*photos, motion, teachers).items():
-            values["consistency", f"long {name}", PHOTOS] = [value]
+            values["consistency", f"whole {name}", PHOTOS] = [value]
     return values
 
 
