@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.poses import to_quaternions
 from styl3r_cli.cameras.recover import Recovered
-from styl3r_cli.moved_views import copied
+from styl3r_cli.moved_views import copied, scale_depths
 from styl3r_cli.pipeline import Scene
 
 Array = NDArray[np.float64]
@@ -21,6 +21,11 @@ REACH = 0.5
 # Pixels that one pixel's disc may span where the surface is steep, and how thick it is, in pixels.
 # Neither matters much (LPIPS by 0.001 with 6, or 0.03); thick ones stand out at edges.
 LONGEST, THICKNESS = 2.0, 0.1
+# Gaussians that are more pixels wide fill what no view shows: the network has such ones along a
+# picture's rim. By so large a part of their depth they go behind what others show there. (Without
+# them viewers show black beside the views' frames: mean LPIPS of pairs, on black, 0.320 instead of
+# 0.297; with them in their place 0.309, and 0.289 instead of 0.274 where holes are filled.)
+WIDE, BEHIND = 1.0, 0.15
 # Neighbouring points are of one surface if their depths differ by no larger part.
 SAME = 0.05
 
@@ -28,9 +33,10 @@ SAME = 0.05
 def surfels(scene: Scene, recovered: Recovered) -> Scene:
     """The scene with its Gaussians' scales and rotations by where their pixels' points are.
 
-    The network's own are round, and huge at the rim of a picture, where they lie over what other
-    views show. As in surface splatting (Zwicker et al. 2001), a disc covers what its pixel sees
-    of the surface through its neighbours' points: it is longer where the surface is steep.
+    The network's own are round. As in surface splatting (Zwicker et al. 2001), a disc covers what
+    its pixel sees of the surface by its neighbours' points: it is longer where the surface is
+    steep. Those at the rim of a picture, which are huge to fill what is beside it, stay so, a
+    little farther away on their rays: else they would lie over what other views show there.
 
     Args:
         scene: from `locate_views`.
@@ -48,9 +54,12 @@ def surfels(scene: Scene, recovered: Recovered) -> Scene:
             lengths = np.minimum(lengths, LONGEST * pixel)
             scales = np.concatenate([REACH * lengths, THICKNESS * pixel], axis=-1)
             rotations = to_quaternions(axes.reshape(-1, 3, 3)).reshape(*depths.shape, 4)
-        good = (depths > 0) & np.isfinite(scales).all(-1) & np.isfinite(rotations).all(-1)
+            seen = depths > 0
+            wide = seen & (scene.scales[view].max(-1) > WIDE * pixel[..., 0])
+        good = seen & ~wide & np.isfinite(scales).all(-1) & np.isfinite(rotations).all(-1)
         made.scales[view][good] = scales[good]
         made.rotations[view][good] = rotations[good]
+        scale_depths(made, view, camera, np.where(wide, 1 + BEHIND, 1.0))
     return made
 
 

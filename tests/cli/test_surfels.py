@@ -10,15 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from wavy_wall import wall
+from wavy_wall import wall as wall_of_wide_ones
 
 from styl3r_cli.cameras.camera import Camera
 from styl3r_cli.cameras.recover import Recovered
 from styl3r_cli.pipeline import Scene
-from styl3r_cli.surfels import LONGEST, REACH, THICKNESS, surfels
+from styl3r_cli.surfels import BEHIND, LONGEST, REACH, THICKNESS, surfels
 
 SIDE, FOCAL = 24, 30.0
 Array = NDArray[np.float64]
+
+
+def wall(count: int) -> tuple[Scene, Recovered]:
+    """The wavy wall with Gaussians that are half a pixel wide, as the network's are."""
+    scene, recovered = wall_of_wide_ones(count)
+    return replace(scene, scales=scene.scales / 2), recovered
 
 
 def covariances(scene: Scene) -> Array:
@@ -43,7 +49,7 @@ def plane(slope: float, unit: float = 1.0, turn: Array | None = None) -> tuple[S
     scene = replace(
         scene,
         means=points[None].astype(np.float32),
-        scales=scene.scales[cut],
+        scales=scene.scales[cut] * np.float32(unit),
         rotations=scene.rotations[cut],
         opacities=scene.opacities[cut],
     )
@@ -119,6 +125,18 @@ def test_where_there_is_no_camera_or_no_point_before_it_nothing_changes() -> Non
         assert np.isfinite(after).all()
     np.testing.assert_array_equal(made.means, scene.means)
     np.testing.assert_array_equal(made.opacities, scene.opacities)
+
+
+def test_what_is_wide_stays_as_wide_in_the_picture_and_goes_behind() -> None:
+    scene, recovered = wall(2)
+    scene.scales[1, :4] = 0.3
+    made, camera = surfels(scene, recovered), recovered.cameras[1]
+    turn, shift = camera.extrinsics[:3, :3], camera.extrinsics[:3, 3]
+    before, after = (each.means[1] @ turn.T + shift for each in (scene, made))
+    np.testing.assert_allclose(after[:4], before[:4] * (1 + BEHIND), rtol=1e-5)
+    np.testing.assert_allclose(after[4:], before[4:], rtol=1e-6)
+    np.testing.assert_allclose(made.scales[1, :4], 0.3 * (1 + BEHIND), rtol=1e-6)
+    np.testing.assert_array_equal(made.rotations[1, :4], scene.rotations[1, :4])
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1)])
