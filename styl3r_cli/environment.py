@@ -1,26 +1,19 @@
-"""Variables of libraries' that end a run as if by a bug where they are no numbers."""
+"""Variables that libraries would end a run for, as if by a bug; none of them is this tool's."""
 
 from __future__ import annotations
 
 import os
 
-from styl3r_cli.errors import UsageError
+# numpy's f2py, which numba brings, takes it for a number when it is loaded. Nothing here has a use
+# for it: results hold no time.
+EPOCH = "SOURCE_DATE_EPOCH"
+# OpenCV aborts the process for a value of its own variables that it cannot read, and starts as many
+# threads as one of them says. Pictures are limited, and threads counted, by this tool's options.
+OPENCV, KEPT = "OPENCV_", ("OPENCV_LOG_LEVEL", "OPENCV_IO_ENABLE_OPENEXR")
 
-# numpy reads the first one where numba imports it, OpenCV the second one.
-NUMBERS = ("SOURCE_DATE_EPOCH", "OPENCV_FOR_THREADS_NUM")
-MOST_DIGITS = 18  # what 64 bits hold, of any number
-LONGEST_QUOTE = 40  # characters of a value in a message
 
-
-def check() -> None:
-    """Refuse values that libraries could not read, before one is loaded.
-
-    Raises:
-        UsageError: a variable that has to be a whole number is none.
-    """
-    for name in NUMBERS:
-        value = os.environ.get(name)
-        if value is None or (value.isascii() and value.isdigit() and len(value) <= MOST_DIGITS):
-            continue
-        shown = value if len(value) <= LONGEST_QUOTE else f"{value[:LONGEST_QUOTE]}..."
-        raise UsageError(f"{name}={shown}: not a whole number; set it to one, or unset it")
+def clear() -> None:
+    """Take them out of this process's environment, before one of these libraries is loaded."""
+    for name in list(os.environ):
+        if name == EPOCH or (name.startswith(OPENCV) and name not in KEPT):
+            del os.environ[name]

@@ -110,7 +110,7 @@ class LazyGroup(click.Group):
         """As click does, but Ctrl-C prints no empty line, and a closed pipe has its own code."""
         limits.check(needs.at_all())
         limits.check_threads()
-        environment.check()
+        environment.clear()
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:

@@ -7,6 +7,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+# More threads than any machine that this was tried on has cores for only wait for each other.
+MOST_THREADS = 256
+
 _pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
 
 
@@ -17,6 +20,11 @@ def default_threads() -> int:
     return os.cpu_count() or 1
 
 
+def count_threads(threads: int | None) -> int:
+    """How many to use of those that were asked for; None for every core."""
+    return min(default_threads() if threads is None else max(1, threads), MOST_THREADS)
+
+
 def in_threads(work: Callable[[Any], Any], things: Sequence[Any], threads: int | None) -> list[Any]:
     """The results of ``work`` on each of a few things, in their order.
 
@@ -25,7 +33,7 @@ def in_threads(work: Callable[[Any], Any], things: Sequence[Any], threads: int |
         things: what to do it with.
         threads: how many to use; None for every core.
     """
-    threads = default_threads() if threads is None else max(1, threads)
+    threads = count_threads(threads)
     if len(things) <= 1 or threads == 1:
         return [work(thing) for thing in things]
     pool = _pool(threads)

@@ -47,8 +47,11 @@ def check_each(request: SceneRequest) -> None:
 
     Raises:
         UsageError: an output has no place for the style's name, or the cameras' file has one; a
-            style has a weight. Without `--each`: an output has such a place.
+            style has a weight. Without `--each`: an output has such a place. A folder has one.
     """
+    for output in outputs_of(request):
+        if PLACE in str(output.parent) and request.styles:
+            raise UsageError(f"{output}: {PLACE} can be in a file's name, not in a folder's")
     if not request.each:
         return _check_alone(request)
     for style in request.styles:

@@ -55,7 +55,12 @@ def plan_shots(request: RenderRequest, scene: Scene, console: Console) -> Shots:
         views = [enlarged(camera, LEAST_SIDE) for camera in stored]
     as_they_are = request.path is None or (path_file is not None and request.frames is None)
     if as_they_are:
-        cameras = [camera.resized(views[0].width, views[0].height) for camera in views]
+        cameras = [_like(camera, views[0], request) for camera in views]
+        if request.size is None and any(_is_other(camera, views[0]) for camera in views):
+            size = f"{views[0].width}x{views[0].height}"
+            console.note(
+                f"{source or request.scene}: cameras of another shape are cropped to {size}"
+            )
         return Shots(_framed(cameras, request), fps, bool(file and file.loop))
     cameras = make_path(
         "interpolate" if path_file else str(request.path),
@@ -88,6 +93,21 @@ def _read(path: Path, request: RenderRequest, console: Console) -> CameraFile:
     for note in file.notes:
         console.note(note)
     return file
+
+
+def _is_other(camera: Camera, first: Camera) -> bool:
+    """Whether its frames are of another shape, by more than a pixel of the first one's."""
+    difference = abs(camera.width * first.height - camera.height * first.width)
+    return difference > max(first.width, first.height)
+
+
+def _like(camera: Camera, first: Camera, request: RenderRequest) -> Camera:
+    """The camera with frames of the first one's size, if no other was asked for."""
+    if request.size is not None:
+        return camera
+    if _is_other(camera, first):
+        return cropped(camera, first.width, first.height)
+    return camera.resized(first.width, first.height)
 
 
 def _framed(cameras: list[Camera], request: RenderRequest) -> list[Camera]:

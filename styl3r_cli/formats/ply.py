@@ -81,6 +81,8 @@ def decode(data: bytes, name: str) -> Scene:
     _require_gaussians(table, name)
     means = _columns(table, MEANS)
     notes = rounded(means)
+    if table.surplus:
+        notes.append("more follows the last Gaussian that its header counts, and is left out")
     if any(name.startswith("f_rest_") and table.column(name).any() for name in table.names):
         notes.append("view-dependent colours (f_rest) are ignored")
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped just below

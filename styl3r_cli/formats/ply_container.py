@@ -55,11 +55,19 @@ class Element:
 
 @dataclass(frozen=True)
 class Table:
-    """The rows of an element: a structured array, or one float64 column a property."""
+    """The rows of an element.
+
+    Attributes:
+        names: of its properties.
+        rows: a structured array, or one float64 column a property.
+        comments: of the header.
+        surplus: whether more follows than the header tells of, as far as that can be seen.
+    """
 
     names: list[str]
     rows: NDArray[Any]
     comments: list[str]
+    surplus: bool
 
     def column(self, name: str) -> NDArray[Any]:
         """One property of all rows."""
@@ -97,7 +105,8 @@ def read_element(data: bytes, name: str, wanted: str = "vertex") -> Table:
     if not element.names:
         raise InputError(f"{name}: the PLY header names no property of '{wanted}'")
     read = _read_binary if order else _read_ascii
-    return Table(element.names, read(data, body, order, before, element, name), comments)
+    rows, surplus = read(data, body, order, before, element, name)
+    return Table(element.names, rows, comments, surplus and element is elements[-1])
 
 
 def header_is_whole(begun: bytes, name: str) -> bool:
@@ -169,7 +178,7 @@ def _parse_header(lines: list[str], name: str) -> tuple[str, list[Element], list
 
 def _read_binary(
     data: bytes, body: int, order: str, before: list[Element], wanted: Element, name: str
-) -> NDArray[Any]:
+) -> tuple[NDArray[Any], bool]:
     for element in before:
         if None in element.types:
             raise InputError(f"{name}: lists before the vertices; save it with the vertices first")
@@ -178,19 +187,21 @@ def _read_binary(
     whole = max(len(data) - body, 0) // row.itemsize
     if whole < wanted.count or body > len(data):
         raise InputError(f"{name}: cut off: {whole} of {wanted.count} {_rows(wanted)} are there")
-    return np.frombuffer(data, row, wanted.count, body)
+    rows = np.frombuffer(data, row, wanted.count, body)
+    return rows, body + rows.nbytes < len(data)
 
 
 def _read_ascii(
     data: bytes, body: int, order: str, before: list[Element], wanted: Element, name: str
-) -> NDArray[Any]:
+) -> tuple[NDArray[Any], bool]:
     """Row by row: text takes ten times its size in memory where it is split all at once."""
     if len(data) - body > LARGEST_TEXT:
         size = f"{(len(data) - body) // 10**6} MB of text"
         raise InputError(f"{name}: {size} is more than is read; save it as a binary PLY")
     width = len(wanted.names)
     first = min(sum(element.count for element in before), MOST_ROWS)
-    rows = islice(_text_rows(data, body, width, name), first, first + wanted.count)
+    lines = _text_rows(data, body, width, name)
+    rows = islice(lines, first, first + wanted.count)
     start = next(rows, None)
     if start is None:
         table = np.zeros((0, width))
@@ -208,7 +219,7 @@ def _read_ascii(
     if len(table) < wanted.count:
         there = f"{len(table)} of {wanted.count} {_rows(wanted)} are there"
         raise InputError(f"{name}: cut off: {there}")
-    return table
+    return table, next(lines, None) is not None
 
 
 def _text_rows(data: bytes, body: int, width: int, name: str) -> Iterator[bytes]:

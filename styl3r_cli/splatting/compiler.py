@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from styl3r_cli.threads import default_threads, in_threads
+from styl3r_cli.threads import count_threads, in_threads
 
 # What LLVM may change in float arithmetic: fuse a*b+c (faster and more exact) and ignore the sign
 # of zero. Neither reorders sums, so a picture is the same on every run and thread count.
@@ -127,7 +127,7 @@ def _sources(file: Path) -> str:
 
 def part_count(count: int, threads: int | None) -> int:
     """Into how many parts that many things are best cut."""
-    threads = default_threads() if threads is None else max(1, threads)
+    threads = count_threads(threads)
     return min(max(count, 1), threads * PARTS_PER_THREAD if threads > 1 else 1)
 
 

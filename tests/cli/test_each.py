@@ -81,6 +81,7 @@ def test_styles_of_one_name_do_not_replace_each_other(
         (("-o", "-"), "-o DIR/{style}.ply"),
         (("-o", "{style}.ply", "--video", "swing.mp4"), "--video swing.mp4"),
         (("-o", "{style}.txt"), "{style}.txt"),
+        (("-o", "of_{style}/{style}.ply"), "not in a folder's"),
     ],
 )
 def test_outputs_without_a_place_for_the_style_are_refused(

@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 
 from styl3r_cli.errors import InputError, UsageError
 from styl3r_cli.formats import encode_scene, ply_container, read_scene, write_scene
+from styl3r_cli.formats.ply import decode
 from styl3r_cli.formats.ply_container import MOST_ROWS, read_element
 from styl3r_cli.formats.values import LOGIT_LIMIT, SMALLEST_SCALE
 from styl3r_cli.gaussians import Gaussians
@@ -313,6 +314,16 @@ def test_too_much_text_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ply_container, "LARGEST_TEXT", 2_000_000)
     with pytest.raises(InputError, match=r"2 MB of text is more than is read; save it as a binary"):
         read_element(ascii_rows(1, b"1\n" * 1_100_000), "a.ply")
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_what_follows_the_last_row_is_told(scene: Gaussians, text: bool) -> None:
+    data = as_text(scene) if text else encode_scene(scene).data
+    more = data + data[-len(data) // 4 :]
+    for whole, notes in ((data, 0), (data + b"\n" * text, 0), (more, 1)):
+        read = decode(whole, "x.ply")
+        assert len(read.gaussians) == len(scene)
+        assert sum("follows the last Gaussian" in note for note in read.notes) == notes
 
 
 def test_cut_off_file(scene: Gaussians) -> None:

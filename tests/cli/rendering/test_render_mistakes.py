@@ -28,6 +28,28 @@ def test_frames_of_a_longer_film_that_stay_are_told(run: Run, scene: Path, tmp_p
     assert err == f"styl3r: {tmp_path / '02.png'} is of an earlier film, and stays\n"
 
 
+def test_cameras_of_another_shape_are_cropped_and_told(
+    run: Run, scene: Path, tmp_path: Path
+) -> None:
+    wide, tall = CAMERAS[0], cropped(CAMERAS[1], CAMERAS[1].width // 2, CAMERAS[1].height)
+    write_transforms(tmp_path / "both.json", [wide, tall], ["a.png", "b.png"])
+    alike = cropped(tall, wide.width, wide.height)
+    write_transforms(tmp_path / "alike.json", [wide, alike], ["a.png", "b.png"])
+    errors = []
+    for name in ("both", "alike"):
+        code, err = run(
+            scene, "--cameras", tmp_path / f"{name}.json", "-o", tmp_path / f"{name}%d.png"
+        )
+        assert code == 0
+        errors.append(err)
+        assert len(list(tmp_path.glob(f"{name}?.png"))) == 2
+    size = f"{wide.width}x{wide.height}"
+    words = f"both.json: cameras of another shape are cropped to {size}"
+    assert [words in err for err in errors] == [True, False]
+    pictures = [(tmp_path / f"{name}1.png").read_bytes() for name in ("both", "alike")]
+    assert pictures[0] == pictures[1]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
