@@ -200,30 +200,23 @@ def _slopes(each: Sightings, now: Adjusted, places: Array, nearness: Array) -> A
     move = motion(now.extrinsics[each.view], now.extrinsics[each.other])
     turn, step = move[:3, :3], move[:3, 3]
     rays = _zoomed(each.rays, now.zoom)
-    whole = np.broadcast_to(np.eye(3), (len(places), 3, 3)) * nearness[:, None, None]
-    moving = np.concatenate(
+    depth = np.maximum(places[:, 2:], LEAST_DEPTH)
+    flat = places[:, :2] / depth
+    axes = np.stack([each.along, _across(each.along)], axis=1) / each.sigmas[:, :, None]
+    axes *= np.exp(now.zoom)
+    outwards = (axes * flat[:, None]).sum(2, keepdims=True)
+    # Row by row, how the result changes with the place: each of the rest is one product with it.
+    there = np.concatenate([axes, -outwards], axis=2) / depth[:, None]
+    here = there @ turn
+    size = nearness[:, None, None]
+    return np.concatenate(
         [
-            turn @ _crossed(rays),
-            -turn @ whole,
-            -_crossed(places),
-            whole,
-            step[None, :, None] * each.bends[:, None, :],
-            (rays[:, :2] @ -turn[:, :2].T)[:, :, None],
+            np.cross(here, rays[:, None]),
+            -size * here,
+            -np.cross(there, places[:, None]),
+            size * there,
+            (there @ step)[..., None] * each.bends[:, None],
+            outwards - (here[..., :2] * rays[:, None, :2]).sum(2, keepdims=True),
         ],
         axis=2,
     )
-    depth = np.maximum(places[:, 2], LEAST_DEPTH)[:, None, None]
-    flat = (places[:, :2] / depth[:, :, 0])[:, :, None]
-    seen = (moving[:, :2] - flat * moving[:, 2:]) / depth
-    seen[:, :, -1] += flat[:, :, 0]
-    seen *= np.exp(now.zoom)
-    axes = np.stack([each.along, _across(each.along)], axis=1) / each.sigmas[:, :, None]
-    return axes @ seen
-
-
-def _crossed(vectors: Array) -> Array:
-    """(M, 3, 3) matrices of the cross products with vectors."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
