@@ -120,12 +120,10 @@ class Overlaps:
             (N, H, W, 3).
         """
         painted = pictures.copy()
-        left = np.full(pictures.shape[:3], np.float32(strength))
-        for each in self.overlaps:  # the earliest painter first
-            taken = left[each.view] * each.share
-            change = sample(pictures[each.painter], each.x, each.y) - pictures[each.view]
-            painted[each.view] += taken[..., None] * change
-            left[each.view] -= taken
+        for view in self.order[1:]:
+            target, share = self.taken_over(pictures, view)
+            change = target - share[..., None] * pictures[view]
+            painted[view] += np.float32(strength) * change
         return painted
 
     def taken_over(self, pictures: FloatArray, view: int) -> tuple[FloatArray, FloatArray]:
